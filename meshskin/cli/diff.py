@@ -98,6 +98,8 @@ def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str
     yield row("aligned", d.aligned)
     if d.permutation:
         yield row(f"aligned and {d.unit}s permuted", d.paired)
+    if d.reshape is not None:
+        yield row("aligned, mirrored or scaled", d.reshaped)
     shift = d.alignment[:3, 3]
     angle = np.degrees(np.linalg.norm(se3.log_so3(d.alignment[:3, :3])))
     yield (
@@ -109,7 +111,9 @@ def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str
     yield from sentences[:shown]
     if len(left := sentences[len(sentences[:shown]) :]):
         yield f"and {len(left)} more lines (--all)"
-    if d.permutation:
+    if d.reshape is not None:
+        yield str(d.reshape)
+    if d.permutation or d.reshape is not None:
         yield "this explains the difference: it removes at least half of it"
     else:
         yield "no exchange of ids explains a difference"

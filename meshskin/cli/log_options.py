@@ -52,7 +52,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     log.add_argument(
         "--robot-unknown", nargs="*", metavar="NAME", help="what is estimated of the robot: "
-        "joint_offset, indenter_position, clock_offset (default: these three), mount, "
+        "joint_offset, joint_delay, indenter_position, clock_offset (default: these four), mount, "
         "indenter_radius, mesh_scale",
     )  # fmt: skip
 
@@ -150,9 +150,14 @@ def _calibrate_joints(
 
 def _lines(found: LogCalibration) -> list[str]:
     """Lines about the heights of the contacts, and what errors of the joints explain of them."""
-    heights = (found.heights_before, found.heights)
-    before, after = (1e3 * float(np.median(np.abs(h))) for h in heights)
+    from ..robot.contact_kinematics import DELAYS
+
+    before, after = found.heights_mm
+    model = found.kinematics
+    timed = [name for name in model.chain.joint_names if name not in (model.delayed or ())]
+    against = [f"  delays of joints and clock are against the stamps of {timed[0]}"]
     return [
         f"  contacts lie {before:.3g} mm off the body before the estimate, {after:.2g} mm after it",
+        *(against if DELAYS in model.columns and timed else []),
         *(f"    {residual.words}" for residual in found.joint_residuals),
     ]

@@ -95,7 +95,7 @@ class Estimation:
         observed = observability.degrees_of_freedom(covariance, float(np.median(data.radii)))
         near = coactivation.without_rest(data)
         covariance = covariance + systematic_covariance(
-            near, result.unknowns, result.rotations, shape
+            near, result.unknowns, result.rotations, shape, result.jump
         )
         reasons = np.array(result.reasons, dtype=object)
         reasons[(data.counts == 0) & (reasons != "")] = UNTOUCHED

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..contact import ContactModel
 from ..core.arrays import Array, sums_by_group
-from .data.global_parameters import MOTION, MOVES, PRIORS, SIZES
+from .data.global_parameters import MOTION, MOVES, PRIORS, SIZES, WARMING
 from .data.measurements import Measurements
 from .data.pairs import near_pairs
 from .joint.contacts import Contacts, LinearizedContacts
@@ -68,7 +68,7 @@ class CalibratedSkin:
     covariances: Array
     """Of the positions (n, 3, 3), body frame, m^2."""
     past: KnownPast | None = None
-    """What the taxels were pressed with before; None without hysteresis."""
+    """What the taxels were pressed with before; None without hysteresis and creep."""
 
     @classmethod
     def of(cls, calibration: Calibration, data: Measurements) -> CalibratedSkin:
@@ -85,9 +85,10 @@ class CalibratedSkin:
         deviations = Deviations(noise, position=0.0, force=0.0)
         if response is not None:
             scale = data.unit / response.unit
-            if response.hysteresis[0] and "hysteresis" not in data.parameters.names:
-                p, more = data.parameters, np.full(SIZES["hysteresis"], PRIORS["hysteresis"])
-                p = replace(p, names=(*p.names, "hysteresis"), sigma=np.append(p.sigma, more))
+            estimated = {label.split()[0] for label in calibration.unknowns}
+            for name in estimated & {"hysteresis", "creep", *WARMING} - set(data.parameters.names):
+                p, more = data.parameters, np.full(SIZES[name], PRIORS[name])
+                p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, more))
                 data = replace(data, parameters=p)
             data = replace(data.referred_to(response.references), learned=True)
             data = with_learned_response(data, calibration.positions)
@@ -155,8 +156,7 @@ class CalibratedSkin:
         return self._means(self.read(contacts))
 
     def _pressed(self, contacts: np.ndarray) -> np.ndarray:
-        """Rows of the readings of `contacts` that are not those of taxels at rest, by hysteresis
-        and drift."""
+        """Rows of the readings of `contacts` not of taxels at rest, by hysteresis, creep, drift."""
         data, rows = self.data, self.read(contacts)
         if self.past is None and "drift" not in data.parameters.nuisance_names:
             return rows

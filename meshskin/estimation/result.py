@@ -70,6 +70,13 @@ class LearnedResponse(Value):
     """Share of each neighbour's pressure in a reading."""
     drift: float = 0.0
     """Standard deviation over the taxels of the change of their offsets during the recording."""
+    creep: tuple[float, float] = (0.0, 0.0)
+    """Share of a held reading that follows the pressure, and its time constant, s
+    (joint/creep.py); zeros where the readings show none."""
+    gain_drift: float = 0.0
+    """Largest change of the gain of all taxels during the recording, relative."""
+    offset_drift: float = 0.0
+    """Largest change of the offset of all taxels during the recording."""
     contact: str = "hertz"
     """Contact model that the response corrects."""
     references: tuple[float, ...] = ()
@@ -94,6 +101,10 @@ class LearnedResponse(Value):
             "hysteresis_width": self.hysteresis[1],
             "crosstalk": self.crosstalk,
             "drift": self.drift,
+            "creep_share": self.creep[0],
+            "creep_time_s": self.creep[1],
+            "gain_drift": self.gain_drift,
+            "offset_drift": self.offset_drift,
         }
 
     def values(self) -> dict[str, Any]:
@@ -106,7 +117,7 @@ class LearnedResponse(Value):
         arrays: dict[str, Any] = {
             k: np.array(v) if isinstance(v, list) else v for k, v in values.items()
         }
-        for name in arrays.keys() & {"levels", "hysteresis", "references"}:
+        for name in arrays.keys() & {"levels", "hysteresis", "creep", "references"}:
             arrays[name] = tuple(map(float, arrays[name]))
         return cls(**arrays)
 
@@ -125,6 +136,16 @@ class LearnedResponse(Value):
             shown.append(
                 f"offsets drift by {self.drift:.2g} {self.unit_name} during the recording (1 sigma)"
             )
+        if self.creep[0]:
+            shown.append(
+                f"creep: {100 * self.creep[0]:.2g} % of a held reading follows the pressure with a "
+                f"time constant of {self.creep[1]:.2g} s"
+            )
+        if self.gain_drift:
+            shown.append(f"the gain of all taxels drifts by {100 * self.gain_drift:.2g} %")
+        if self.offset_drift:
+            words = f"drifts by {self.offset_drift:.2g} {self.unit_name}"
+            shown.append(f"the offset of all taxels {words}")
         return (
             f"contact points scatter by {1e3 * self.contact_scatter:.2g} mm along each tangent",
             f"forces scatter by {100 * self.force_scatter:.2g} %",
@@ -176,6 +197,8 @@ class EstimatorResult:
     departures: Mapping[str, float] = field(default_factory=dict)
     """Score, in standard deviations, of each departure from the model that was tested
     (joint/departures.py)."""
+    jump: Array = field(default_factory=lambda: np.zeros(3))
+    """Displacement (3,), m, of the contacts from one on, where the readings show one."""
     response: LearnedResponse | None = None
     """The learned response, where it was learned."""
     iterates: Array | None = None

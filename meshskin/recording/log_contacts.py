@@ -27,6 +27,12 @@ def joint_path(log: SkinLog, joint_names: tuple[str, ...]) -> JointPath:
 
     Raises UnknownNameError for a joint that the log lacks, RecordingError for a single frame.
     """
+    if joint_names and not log.joint_names:
+        raise RecordingError(
+            "the log has no joint angles",
+            value="no stream of kind joints in its map",
+            remedy=f'add a [[stream]] of kind = "joints" with {", ".join(sorted(joint_names))}',
+        )
     for name in joint_names:
         if name not in log.joint_names:
             raise UnknownNameError("joint", name, log.joint_names, " of the log")

@@ -66,10 +66,18 @@ class Stream(Value):
         return float(self.times.min()), float(self.times.max())
 
     @cached_property
+    def _paced(self) -> Array:
+        """Times, s, of the samples that recur: of joints in messages of their own, of one joint."""
+        if self.kind != JOINTS or not self.values.size or np.isfinite(self.values).all():
+            return self.times
+        known = np.isfinite(self.values)
+        return self.times[known[:, np.argmax(known.sum(axis=0))]]
+
+    @cached_property
     def period(self) -> float:
         """Median time from one sample to the next that has another time, s; 0 for fewer than two
-        times."""
-        steps = np.diff(self.times)
+        times. Joints in messages of their own count as one."""
+        steps = np.diff(self._paced)
         steps = steps[steps > 0]
         return float(np.median(steps)) if len(steps) else 0.0
 
@@ -83,8 +91,9 @@ class Stream(Value):
         """Times between samples that are longer than GAP_PERIODS periods; contacts have none."""
         if not self.period or self.kind == CONTACTS:
             return ()
-        rows = np.flatnonzero(np.diff(self.times) > GAP_PERIODS * self.period)
-        return tuple(Gap(float(self.times[k]), float(self.times[k + 1])) for k in rows)
+        times = self._paced
+        rows = np.flatnonzero(np.diff(times) > GAP_PERIODS * self.period)
+        return tuple(Gap(float(times[k]), float(times[k + 1])) for k in rows)
 
     @property
     def backward(self) -> int | None:

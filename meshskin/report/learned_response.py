@@ -26,7 +26,7 @@ CAPTION = (
     "the compression shares. A model outside the band does not hold for this skin."
 )
 NOT_KNOWN = (
-    "Not in this response: creep, delays, patches that are not round, and, from raw readings, "
+    "Not in this response: delays, patches that are not round, and, from raw readings, "
     "pressures. Where all forces are equal, the exponents in the force rest on their priors."
 )
 SIGMAS = 2.0

@@ -1,6 +1,6 @@
 """Where an indenter is in the frame of a body on a robot's link, by the joint angles.
 
-    c_b = T_link_body^-1 T_link_carrier(q(t - clock) + offsets) p
+    c_b = T_link_body^-1 T_link_carrier(q(t - clock + delays) + offsets) p
 
 The indenter's centre p is at rest in the frame of the link that carries it: the root, for an
 indenter fixed in the world, or a link of another limb. What of this is not known exactly is
@@ -17,7 +17,14 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..core.arguments import NamedFields, check_real, check_type, check_vector, repr_short
+from ..core.arguments import (
+    NamedFields,
+    check_name,
+    check_real,
+    check_type,
+    check_vector,
+    repr_short,
+)
 from ..core.arrays import Array
 from ..core.errors import ArmError, ConfigError, UnknownNameError
 from ..core.se3 import exp_so3, hat, is_rigid, left_jacobian, transform
@@ -30,11 +37,13 @@ SIZES = {
     "indenter_radius": 1,
     "mesh_scale": 1,
 }
-"""Number of entries of each unknown; joint_offset has one for each joint of the chain."""
-JOINTS = "joint_offset"
+"""Number of entries of each unknown; joint_offset has one for each joint of the chain, joint_delay
+for each of `ContactKinematics.delayed`."""
+JOINTS, DELAYS = "joint_offset", "joint_delay"
 SIGMAS = MappingProxyType(
     {
         "joint_offset": math.radians(1.0),
+        "joint_delay": 0.02,
         "indenter_position": 2e-3,
         "mount": 3e-3,
         "clock_offset": 0.05,
@@ -42,10 +51,14 @@ SIGMAS = MappingProxyType(
         "mesh_scale": 0.01,
     }
 )
-"""Default standard deviations: rad, m, m, s, m, and of the logarithm. Chosen: a joint's zero set by
-a mark, a place measured with a ruler, a few frames, a turned ball, and a mesh in the right unit."""
+"""Default standard deviations: rad, s, m, m, s, m, and of the logarithm. Chosen: a joint's zero set
+by a mark, cycles of a joint's driver, a place measured with a ruler, a few frames, a turned ball,
+and a mesh in the right unit."""
 USUAL = MappingProxyType(
-    {name: SIGMAS[name] for name in ("joint_offset", "indenter_position", "clock_offset")}
+    {
+        name: SIGMAS[name]
+        for name in ("joint_offset", "joint_delay", "indenter_position", "clock_offset")
+    }
 )
 """What is not known of most robots. Mount and size of the body are hard to tell from these."""
 MOUNT_ROTATION = 10.0
@@ -65,10 +78,17 @@ class JointPath:
     angles: Array
     """(n, k), rad."""
 
-    def at(self, time: Array) -> tuple[Array, Array]:
-        """Angles (m, k), rad, and their rates, rad/s, at times (m,), s."""
+    def at(self, time: Array, delays: Array | None = None) -> tuple[Array, Array]:
+        """Angles (m, k), rad, and their rates, rad/s, at times (m,), s; of joints whose stamps are
+        late by `delays` (k,), s, by default zero."""
         path = self._spline
-        return np.asarray(path(time)), np.asarray(path(time, 1))
+        if delays is None or not delays.any():
+            return np.asarray(path(time)), np.asarray(path(time, 1))
+        angles, rates = (
+            np.stack([path(time + d, order)[:, k] for k, d in enumerate(delays)], axis=1)
+            for order in (0, 1)
+        )
+        return angles, rates
 
     def covers(self, time: Array) -> np.ndarray:
         """Whether the path has the times (m,), s: beyond its ends, and in gaps of more than MAX_GAP
@@ -102,6 +122,9 @@ class ContactKinematics(NamedFields):
     """T_link_body (4, 4)."""
     unknown: Mapping[str, float] = field(default_factory=lambda: USUAL)
     """Standard deviations of what is not known exactly, by name: any of SIGMAS."""
+    delayed: tuple[str, ...] | None = None
+    """Joints whose stamps may be late against those of the others: the joint_delay. None: all but
+    the first one."""
 
     def __post_init__(self) -> None:
         check_type(Chain, self.chain, "chain of contact kinematics")
@@ -120,6 +143,11 @@ class ContactKinematics(NamedFields):
             if name not in SIGMAS:
                 raise UnknownNameError("parameter of contact kinematics", name, SIGMAS)
             check_real(f"standard deviation of {name}", sigma, above=0.0)
+        names = self.chain.joint_names
+        for name in self.delayed or ():
+            check_name("joint", name, names)
+        delayed = names[1:] if self.delayed is None else self.delayed
+        object.__setattr__(self, "delayed", delayed)
         object.__setattr__(self, "indenter", centre)
         object.__setattr__(self, "mount", np.asarray(self.mount, dtype=float))
 
@@ -129,10 +157,15 @@ class ContactKinematics(NamedFields):
         found, first = {}, 0
         for name in SIGMAS:
             if name in self.unknown:
-                size = len(self.chain.joint_names) if name == JOINTS else SIZES[name]
+                size = len(self._joints[name]) if name in self._joints else SIZES[name]
                 found[name] = slice(first, first + size)
                 first += size
         return found
+
+    @property
+    def _joints(self) -> dict[str, tuple[str, ...]]:
+        """The joints that have an entry of an unknown that is one of each joint."""
+        return {JOINTS: self.chain.joint_names, DELAYS: self.delayed or ()}
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
@@ -141,8 +174,9 @@ class ContactKinematics(NamedFields):
         out: list[str] = []
         for name, at in self.columns.items():
             size = at.stop - at.start
-            entries = self.chain.joint_names if name == JOINTS else axes[:size]
-            out += [name] if size == 1 and name != JOINTS else [f"{name} {e}" for e in entries]
+            entries = self._joints.get(name, axes[:size])
+            named = size > 1 or name in self._joints
+            out += [f"{name} {entry}" for entry in entries] if named else [name]
         return tuple(out)
 
     @cached_property
@@ -166,11 +200,23 @@ class ContactKinematics(NamedFields):
         shift, turn = np.split(s[self.columns["mount"]], 2)
         return np.asarray(self.mount @ transform(exp_so3(turn), shift))
 
+    @cached_property
+    def _late(self) -> list[int]:
+        """Index of each of the joints that may be late."""
+        return [self.chain.joint_names.index(name) for name in self._joints[DELAYS]]
+
+    def delays(self, s: Array) -> Array:
+        """How late (k,), s, the stamps of all joints are with the unknowns s (K,)."""
+        out = np.zeros(len(self.chain.joint_names))
+        if DELAYS in self.columns:
+            out[self._late] = s[self.columns[DELAYS]]
+        return out
+
     def centres(self, path: JointPath, time: Array, s: Array) -> tuple[Array, Array]:
         """The indenter's centres (m, 3), body frame, m, at times (m,), s, with the unknowns s (K,),
         and their derivatives (m, 3, K).
         """
-        angles, rates = path.at(time - self.value("clock_offset", s))
+        angles, rates = path.at(time - self.value("clock_offset", s), self.delays(s))
         joints = s[self.columns[JOINTS]] if JOINTS in self.columns else np.zeros(angles.shape[1])
         point = self.indenter.copy()
         if "indenter_position" in self.columns:
@@ -185,6 +231,8 @@ class ContactKinematics(NamedFields):
         by_joint = back @ by_joint
         if JOINTS in self.columns:
             slopes[:, :, self.columns[JOINTS]] = by_joint
+        if DELAYS in self.columns:
+            slopes[:, :, self.columns[DELAYS]] = (by_joint * rates[:, None])[:, :, self._late]
         if "indenter_position" in self.columns:
             slopes[:, :, self.columns["indenter_position"]] = back @ poses[:, :3, :3]
         if "clock_offset" in self.columns:

@@ -5,7 +5,7 @@ A file of module frames (a URDF of iCub) is compared with the modules of a file 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -25,9 +25,34 @@ EXPLAINED = 0.5
 """A permutation explains a difference if it leaves at most this part of the rms distance."""
 MIN_TAXELS = 3
 """Least mean number of ids in a module of a skin of taxels; modules of iCub have 10 or 12."""
+MIN_RESHAPED = 6
+"""Taxels, at least, that show a mirror or a scale: 18 coordinates for 8 unknowns."""
+MIN_DIFFERENCE = 1e-6
+"""Rms distance, m, up to which there is no difference to explain: the last digit of skin files."""
 MIN_MOVED = 20
 """Number of permuted taxels from which on they are described by modules, if they moved with them:
 two modules."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reshape:
+    """How B is mirrored and scaled with regard to A."""
+
+    pose: Array
+    """(4, 4) that brings B to A: a rotation, times `scale`, mirrored where `mirror` says so"""
+    scale: float = 1.0
+    """size of B in relation to A"""
+    mirror: Array | None = None
+    """(3,) unit vector in B's frame along which it is mirrored; None: it is not"""
+
+    def __str__(self) -> str:
+        parts = []
+        if self.mirror is not None:
+            along = ", ".join(f"{round(x, 2) + 0.0:.2f}" for x in self.mirror)
+            parts.append(f"mirrored along ({along})")
+        if self.scale != 1.0:
+            parts.append(f"scaled by {self.scale:.5g}")
+        return "B is A " + " and ".join(parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +84,10 @@ class Difference:
     """(p,) ids in A of the taxels whose unit has a partner in B"""
     paired: Array
     """(p,) their distances after alignment and permutation"""
+    reshape: Reshape | None = None
+    """mirror and scale of B that remove at least half of the difference"""
+    reshaped: Array = field(default_factory=lambda: np.empty(0))
+    """(n,) distance of each taxel to that of the same id after the alignment and these"""
     frames: str = ""
     """the skin whose taxels are frames of modules, "A" or "B"; empty if neither is"""
 
@@ -108,6 +137,14 @@ def compare(a: Skin, b: Skin) -> Difference:
     if own is not None and best.moved and not _removes_half(own, best, ids_a, at_a, at_b):
         best = own
     after = distances(best.pose, at_a[rows_a], at_b[rows_b])
+    reshape = reshape_of(at_a[rows_a], at_b[rows_b])
+    if reshape is not None:
+        left = distances(reshape.pose, at_a[rows_a], at_b[rows_b])
+        permuted = rms(distances(best.pose, at_a[best.rows_a], at_b[best.rows_b]))
+        if best.moved and own is not None and rms(left) <= permuted:
+            best, after = own, distances(own.pose, at_a[rows_a], at_b[rows_b])
+        elif best.moved:
+            reshape = None
     off = distances(best.pose, at_a[best.rows_a], at_b[best.rows_b])
     return Difference(
         ids,
@@ -120,8 +157,43 @@ def compare(a: Skin, b: Skin) -> Difference:
         best.moved,
         ids_a[best.rows_a],
         off,
+        reshape,
+        np.empty(0) if reshape is None else left,
         "A" if frames_a else "B" if frames_b else "",
     )
+
+
+def reshape_of(at_a: Array, at_b: Array) -> Reshape | None:
+    """Mirror and scale that bring points B (n, 3), m, to A; None where they leave more than half of
+    the rms distance after a rigid alignment.
+
+    Source: Umeyama, IEEE PAMI 13 (1991).
+    """
+    if len(at_a) < MIN_RESHAPED:
+        return None
+    a, b = at_a - at_a.mean(axis=0), at_b - at_b.mean(axis=0)
+    u, _, vt = np.linalg.svd(a.T @ b)
+    proper = float(np.sign(np.linalg.det(u @ vt)))
+    found = []
+    for sign in (1.0, -1.0):
+        turn = u @ np.diag([1.0, 1.0, sign * proper]) @ vt
+        factor = float(np.sum(a * (b @ turn.T)) / np.sum(b**2))
+        for scale in (1.0, factor):
+            left = rms(np.linalg.norm(a - scale * b @ turn.T, axis=1))
+            found.append((left, sign, scale, turn))
+    rigid, least = found[0][0], min(fit[0] for fit in found)
+    if rigid <= MIN_DIFFERENCE or least > EXPLAINED * rigid:
+        return None
+    limit = max(least / EXPLAINED, MIN_DIFFERENCE)  # the simplest of those that fit as well
+    _, sign, scale, turn = next(fit for fit in found if fit[0] <= limit)
+    pose = np.eye(4)
+    pose[:3, :3] = scale * turn
+    pose[:3, 3] = at_a.mean(axis=0) - pose[:3, :3] @ at_b.mean(axis=0)
+    value, vectors = np.linalg.eig(turn)
+    mirror = np.real(vectors[:, np.argmin(np.abs(value + 1.0))]) if sign < 0 else None
+    if mirror is not None:
+        mirror = mirror * np.sign(mirror[np.argmax(np.abs(mirror))])
+    return Reshape(pose, 1 / scale, mirror)
 
 
 def module_centres(ids: Ids, at: Array) -> tuple[Ids, Array]:

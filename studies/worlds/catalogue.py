@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,8 @@ COVER = 1e-3
 """Standard deviation, m, of the blur by a cover."""
 
 
+PRESSES: dict[str, Any] = {"dwell": (0.2, 2.0), "lift": 0.5}
+"""Contacts that are held for times between these, s, with the indenter lifted between them."""
 YIELD = 0.7
 """Pressure at which a skin yields, relative to the elastic peak at the mean force."""
 SOLVERS = {
@@ -82,6 +85,11 @@ def catalogue() -> dict[str, World]:
         "counts": World(hertz, counts, scatter=0.3e-3, nominal_force=True),
         "drift": World(hertz, Electronics(drift=0.05)),
         "crosstalk": World(hertz, Electronics(crosstalk=0.05)),
+        "creep_03": World(hertz, Electronics(creep=0.25, creep_time=0.3), **PRESSES),
+        "creep_30": World(hertz, Electronics(creep=0.25, creep_time=3.0), **PRESSES),
+        "creep_stops": World(hertz, Electronics(creep=0.25), dwell=(0.1, 1.5)),
+        "creep_slides": World(hertz, Electronics(creep=0.25)),
+        "warming": World(hertz, Electronics(warm_gain=0.1, warm_offset=0.03)),
         "drag_01": World(Drag(hertz, 0.1e-3)),
         "drag_09": World(Drag(hertz, 0.9e-3)),
         "pair": World(Pair(hertz)),

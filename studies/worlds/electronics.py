@@ -13,6 +13,8 @@ FULL_SCALE = 200.0
 """Counts of the peak pressure; 8 bits end at 255."""
 NEIGHBOUR = 1.2
 """Distance of taxels that crosstalk, relative to the least one."""
+WARMING = 3.0
+"""Time constants of warming during the recording."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,16 @@ class Electronics:
     """Standard deviation over the taxels of the rise of the offset during the recording."""
     crosstalk: float = 0.0
     """Part of the pressure of each neighbour that a taxel reads."""
+    module: int = 0
+    """Taxels of consecutive numbers that share a module, the only ones to crosstalk; 0: all."""
+    creep: float = 0.0
+    """Relative rise of the reading under a pressure that is held for ever."""
+    creep_time: float = 1.0
+    """Time constant of that rise, s."""
+    warm_gain: float = 0.0
+    """Relative rise of the gain of all taxels from a cold to a warm skin."""
+    warm_offset: float = 0.0
+    """Rise of the offset of all taxels from a cold to a warm skin."""
     saturating: bool = False
     """Whether a pressure p reads p / (1 + p / peak): at the peak half of it."""
     power: float = 1.0
@@ -74,20 +86,28 @@ class Sensors:
         """Gains (n,)."""
         return np.exp(self.electronics.gain * self._draw(3))
 
-    def exact(self, pressure: Array, near: Array) -> Array:
+    def exact(self, pressure: Array, near: Array, time: Array, dwell: Array) -> Array:
         """Readings (m, n) of pressures (m, n), Pa, in time order, without noise and counting.
 
-        near (n, n): distances of the taxels, m, for crosstalk.
+        near (n, n): distances of the taxels, m, for crosstalk; time, dwell (m,), s: at which each
+        contact is read, and for how long it has been held then.
         """
         e, unit = self.electronics, self.electronics.unit(self.peak)
         if e.crosstalk:
-            least = near[near > 0].min()
-            pressure = pressure + e.crosstalk * pressure @ ((near > 0) & (near < NEIGHBOUR * least))
+            beside = (near > 0) & (near < NEIGHBOUR * near[near > 0].min())
+            if e.module:
+                module = np.arange(self.count) // e.module
+                beside &= module[:, None] == module
+            pressure = pressure + e.crosstalk * pressure @ beside
+        if e.creep:
+            pressure = pressure + e.creep * crept(pressure, time, dwell, e.creep_time)
         if e.hysteresis:
             lagging = play(pressure, e.play * self.peak)
             pressure = (1 - e.hysteresis) * pressure + e.hysteresis * lagging
         reading = e.response(self.gains * pressure, self.peak)
         rise = np.linspace(0.0, 1.0, len(pressure))[:, None]
+        warm = 1 - np.exp(-WARMING * rise)
+        reading = (1 + e.warm_gain * warm) * reading + unit * e.warm_offset * warm
         return reading + unit * (e.offset * self._draw(4) + rise * e.drift * self._draw(5))
 
     def recorded(self, exact: Array) -> tuple[Array, float]:
@@ -110,4 +130,17 @@ def play(signal: Array, width: float) -> Array:
     for k, now in enumerate(signal):
         state = np.clip(state, now - width, now + width)
         out[k] = state
+    return out
+
+
+def crept(signal: Array, time: Array, dwell: Array, constant: float) -> Array:
+    """What signals (m, n) approach with a time constant, s, from rest: a Kelvin-Voigt element.
+
+    Each row of the signal is held for `dwell` (m,), s, up to its time (m,), s; before it is zero.
+    """
+    state, out, last = np.zeros(signal.shape[1]), np.empty_like(signal), time[0] - dwell[0]
+    for k, now in enumerate(signal):
+        state = state * np.exp(-(time[k] - dwell[k] - last) / constant)
+        state = now + (state - now) * np.exp(-dwell[k] / constant)
+        out[k], last = state, time[k]
     return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -33,6 +33,10 @@ class World:
     """Standard deviation of ln of the recorded over the true force."""
     nominal_force: bool = False
     """Whether the recorded force is sphere.FORCE in every contact."""
+    dwell: tuple[float, float] = (sphere.FRAME, sphere.FRAME)
+    """Least and largest time, s, for which a contact is held until it is read."""
+    lift: float = 0.0
+    """Time, s, between two contacts in which nothing is touched."""
     guard: int = 0
     """Taxels around the skin that carry load and are not read."""
     taxels: int = 97
@@ -53,6 +57,8 @@ class Sample:
     touch: Touch
     """True contacts."""
     sensors: Sensors
+    dwell: Array
+    """Times (m,), s, for which the contacts were held when they were read."""
 
     def exact(self, world: World, positions: Array | None = None, touch: Touch | None = None
               ) -> Array:  # fmt: skip
@@ -60,7 +66,8 @@ class Sample:
         at = self.positions if positions is None else positions
         near = np.linalg.norm(self.positions[:, None] - self.positions, axis=2)
         pressures = world.pressures(touch or self.touch, np.concatenate([at, self.guard]))
-        return self.sensors.exact(pressures[:, : len(at)], near)
+        time = self.recording.time
+        return self.sensors.exact(pressures[:, : len(at)], near, time, self.dwell)
 
 
 def record(world: World, seed: int) -> Sample:
@@ -74,10 +81,14 @@ def record(world: World, seed: int) -> Sample:
     force = touch.force * np.exp(world.force_error * rng.normal(size=world.contacts))
     if world.nominal_force:
         force = np.full(world.contacts, sphere.FORCE)
-    draft = Sample(_table(measured, force), 0.0, positions, guard, touch, sensors)
+    dwell = np.random.default_rng([seed, 8]).uniform(*world.dwell, world.contacts)
+    time = np.cumsum(dwell + world.lift)
+    draft = Sample(
+        _table(measured, force, time - time[0]), 0.0, positions, guard, touch, sensors, dwell
+    )
     reading, threshold = sensors.recorded(draft.exact(world))
     recording = _with_readings(draft.recording, reading, threshold)
-    return Sample(recording, threshold, positions, guard, touch, sensors)
+    return replace(draft, recording=recording, threshold=threshold)
 
 
 @lru_cache(maxsize=64)
@@ -87,8 +98,7 @@ def peak(pressures: Pressures) -> float:
     return float(pressures(Touch(pole, np.array([sphere.FORCE])), pole)[0, 0])
 
 
-def _table(touch: Touch, force: Array) -> Recording:
-    time = sphere.FRAME * np.arange(len(force))
+def _table(touch: Touch, force: Array, time: Array) -> Recording:
     columns = [time, *touch.points.T, *touch.normals.T, force]
     contacts = pa.table([np.ascontiguousarray(c) for c in columns], schema=CONTACTS)
     return Recording(contacts, READINGS.empty_table(), {})

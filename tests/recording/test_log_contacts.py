@@ -42,6 +42,9 @@ def test_joints_are_those_asked_for_in_their_order(log):
         log, time=log.time[:1], joint_angles=log.joint_angles[:1], readings=log.readings[:1],
         in_contact=log.in_contact[:1],
     )  # fmt: skip
+    without = replace(log, joint_names=(), joint_angles=np.empty((4, 0)))
+    with pytest.raises(RecordingError, match='kind = "joints" with elbow, wrist'):
+        joint_path(without, ("wrist", "elbow"))
     with pytest.raises(RecordingError, match="two frames"):
         joint_path(single, ("elbow",))
 

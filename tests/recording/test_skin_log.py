@@ -7,6 +7,7 @@ import pytest
 
 from meshskin.core.errors import RecordingError
 from meshskin.recording.skin_log import SkinLog
+from meshskin.recording.stream import Stream
 
 LOG = SkinLog(
     time=np.arange(6) / 50,
@@ -40,3 +41,14 @@ def test_contacts_are_the_runs_of_frames_in_contact():
 def test_inconsistent_logs_are_refused(changes, words):
     with pytest.raises(RecordingError, match=words):
         replace(LOG, **changes)
+
+
+def test_joints_in_messages_of_their_own_have_no_gaps_between_these():
+    """Three joints in a burst of 0.2 ms every 10 ms, and one pause."""
+    cycles = 0.01 * np.arange(100)
+    cycles[60:] += 0.5
+    times = (cycles[:, None] + [0.0, 1e-4, 2e-4]).ravel()
+    values = np.where(np.tile(np.eye(3, dtype=bool), (100, 1)), 0.3, np.nan)
+    stream = Stream("/joint_states", "", times, values, ("a", "b", "c"), "joints", "rad")
+    assert stream.rate == pytest.approx(100.0)
+    assert [round(gap.end - gap.start, 3) for gap in stream.gaps] == [0.51]

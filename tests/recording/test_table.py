@@ -46,6 +46,35 @@ def test_two_streams_of_one_topic(tmp_path):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("column", "unit", "scale"),
+    [("clock", "ms", 1e3), ("clock", "ns", 1e9), ("clock", "s", 1.0), ("clock_us", "s", 1e6)],
+)
+def test_times_in_their_unit(tmp_path, column, unit, scale):
+    """The unit in the name of a column, else that of the map."""
+    times = 0.02 * np.arange(N)
+    columns = {"time": np.zeros(N), column: scale * times, "shoulder_joint": np.ones(N)}
+    path = csv(tmp_path / "log.csv", columns)
+    given = StreamMap("shoulder_joint", "joints", time=column, time_unit=unit)
+    log = read_log(path, LogMap((given,)))
+    np.testing.assert_allclose(log.streams[0].times, times, atol=1e-12)
+
+
+def test_joints_by_a_word_of_their_name(tmp_path):
+    names = ("shoulder_pan_joint", "panda_joint1", "joint_2", "q", "angle_deg", "quality")
+    path = csv(
+        tmp_path / "log.csv",
+        {"timestamp_ns": 1e9 * np.arange(N)} | dict.fromkeys(names, np.ones(N)),
+    )
+    log, could = read_and_suggest(path)
+    kinds = {name: [one.kind for one in could[name]] for name in could}
+    assert kinds == {
+        "shoulder_pan_joint": ["joints"], "panda_joint*": ["joints"], "joint_*": ["joints"],
+        "q": ["joints"], "angle_deg": ["joints"], "quality": [],
+    }  # fmt: skip
+    assert log.streams[0].span == (0.0, N - 1.0)
+
+
 @pytest.mark.parametrize(("write", "name"), [(csv, "log.csv"), (parquet, "log.parquet")])
 def test_columns_by_group_and_by_pattern(tmp_path, write, name):
     path = write(tmp_path / name)

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
+from meshskin.cli import main
 from meshskin.core import se3
 from meshskin.core.errors import SkinError
 from meshskin.geometry.body import Body
@@ -278,3 +279,34 @@ def test_real_module_frames():
     assert d.permutation == {22: 20, 23: 19, 43: 46, 46: 43}  # the other leg is wired differently
     mesh = Skin.load(DATA / "icub_skin/cad/left_foot_mesh.txt")
     assert compare(mesh, Skin.load(urdf, "l_sole")).paired.max() < 2e-6
+
+
+@pytest.mark.parametrize(
+    ("mirror", "scale", "text"),
+    [
+        ((1, 1, 1), 1.01, "B is A scaled by 1.01"),
+        ((1, -1, 1), 1.0, "B is A mirrored along (0.00, 1.00, 0.00)"),
+        ((-1, 1, 1), 1.02, "B is A mirrored along (1.00, 0.00, 0.00) and scaled by 1.02"),
+    ],
+)
+def test_mirrored_and_scaled_maps_are_named(arm, capsys, tmp_path, mirror, scale, text):
+    poses = arm.poses.copy()
+    poses[:, :3, 3] *= scale * np.array(mirror)
+    d = compare(arm, Skin(poses, arm.ids))
+    assert str(d.reshape) == text
+    assert d.permutation == {}
+    assert d.reshaped.max() < 1e-6
+    assert rms(d.aligned) > 1e-4
+    noisy = poses.copy()
+    noisy[:, :3, 3] += np.random.default_rng(0).normal(scale=0.1e-3, size=(len(arm), 3))
+    assert (compare(arm, Skin(noisy, arm.ids)).reshape.mirror is None) == (min(mirror) > 0)
+    for name, skin in (("a", arm), ("b", Skin(poses, arm.ids))):
+        skin.save(tmp_path / f"{name}.csv")
+    assert main(["diff", str(tmp_path / "a.csv"), str(tmp_path / "b.csv")]) == 1
+    printed = capsys.readouterr().out
+    assert "B is A " in printed
+    assert "this explains the difference" in printed
+
+
+def test_noise_is_no_scale(arm):
+    assert compare(arm, moved(arm, noise=1e-4)).reshape is None

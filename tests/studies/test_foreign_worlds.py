@@ -215,6 +215,9 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
         ("hysteresis", {"hysteresis": (0.5, 0.2)}, 0.05e-3),
         ("crosstalk", {"crosstalk": 0.05}, 0.04e-3),
         ("drift", {"drift": 0.05}, 0.05e-3),
+        ("creep_30", {"creep": (0.2, 3.0)}, 0.04e-3),
+        pytest.param("creep_stops", {"creep": (0.2, 1.0)}, 0.04e-3, marks=pytest.mark.slow),
+        ("warming", {"gain_drift": 0.1, "offset_drift": 0.03}, 0.05e-3),
         ("drag_01", {"drag": 0.1e-3}, 0.03e-3),
         pytest.param("drag_09", {"drag": 0.9e-3}, 0.03e-3, marks=pytest.mark.slow),
         ("force_nominal", {}, 0.05e-3),
@@ -223,7 +226,8 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
 )
 def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, truth, worst):
     """By default, of pressures; `truth`: share and width of the hysteresis, share of crosstalk,
-    deviation of the drift relative to the peak reading, and drag, m."""
+    deviation of the drift relative to the peak reading, drag, m, share and time constant, s, of the
+    creep, and drifts of all gains and offsets, relative and in peak readings."""
     from worlds import sphere
     from worlds.world import record
 
@@ -242,13 +246,17 @@ def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, tr
         "crosstalk": learned.crosstalk,
         "drift": learned.drift / sample.sensors.peak,
         "drag": found.unknowns.get("drag", (0.0, 0.0))[0],
+        "creep": learned.creep,
+        "gain_drift": learned.gain_drift,
+        "offset_drift": learned.offset_drift / sample.sensors.peak,
     }
     for key, value in estimated.items():
         expected = truth.get(key, np.zeros(np.shape(value)))
         assert value == pytest.approx(expected, rel=0.3)
     if "drag" in truth:
         return
-    named = [text for text in learned.describe() if text.startswith((name, f"offsets {name}"))]
+    words = "hysteresis", "crosstalk", "offsets drift", "creep", "the gain", "the offset"
+    named = [text for text in learned.describe() if text.startswith(words)]
     assert len(named) == len(truth)
 
 

@@ -16,6 +16,7 @@ from .delay import without_delay
 from .global_parameters import declared_parameters
 from .measurements import Measurements, nominal_patches
 from .raw_readings import check_pressures, nominal_pressure, pressures_above_rest
+from .registration import registered
 from .resolve_belief import resolve_belief, valid_contacts
 from .sensor_range import check_answered, check_disc, common_end, constant_taxels, ends_of_range
 
@@ -37,12 +38,16 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     unit_checks.check_readings(recording.metadata.get("readings"), belief.readings)
     index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
     unit_checks.check_unique(recording, index, len(belief.taxel_ids))
-    headings = _headings(recording, belief)
-    hit = belief.body.closest(recording.points)
-    unit_checks.check_points(belief.body, recording.points, hit.distance)
+    headings, points = _headings(recording, belief), recording.points
+    hit = belief.body.closest(points)
+    unit_checks.check_points(belief.body, points, hit.distance)
+    if "body_offset" in belief.unknown:
+        belief, points = registered(belief, points)
+        hit = belief.body.closest(points)
     learned = belief.readings == RAW or belief.contact == contact.LEARNED
     if learned:
         belief = replace(belief, contact=contact.LEARNED)
+        hit = unit_checks.without_hollows(hit, belief.indenter.radius)
     belief = resolve_belief(belief, recording)
     used = recording.force > 0
     pressure, unit, falling = recording.pressure, 1.0, False
@@ -56,7 +61,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     _require_readings(read, recording, used)
     if belief.readings != RAW:
         contacts = recording.reading_contact[read]
-        check_pressures(pressure[read], contacts, index[read], recording.points)
+        check_pressures(pressure[read], contacts, index[read], points)
     reference, material = belief.force_reference or 1.0, belief.material
     unit_checks.check_force(recording.force[used], reference)
     valid = np.ones(int(used.sum()), dtype=bool)
@@ -89,7 +94,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     saturation = belief.saturation or common_end(ends, np.bincount(index[read], minlength=n))
     data = Measurements(
         belief=belief,
-        points=recording.points[used],
+        points=points[used],
         normals=hit.normal,
         directions=hit.direction,
         curvature=hit.curvature,

@@ -20,6 +20,9 @@ from ...core.arrays import Array
 from ...core.errors import UnknownNameError
 from ...scene.contact_motion import ContactMotion
 
+DRIFT_SIZE = 4
+"""Entries of a drift that all taxels share: Legendre polynomials of the time from the first degree
+on. Warming with three time constants during the recording leaves 0.3 % of its rise."""
 SIZES = {
     "modulus": 1,
     "force_scale": 1,
@@ -34,6 +37,9 @@ SIZES = {
     "profile": PROFILE_SIZE,
     "hysteresis": 2,
     "crosstalk": 1,
+    "creep": 3,
+    "gain_drift": DRIFT_SIZE,
+    "offset_drift": DRIFT_SIZE,
 }
 """Number of entries of each global parameter, but for the contact motion."""
 MOTION = "contact_motion"
@@ -56,6 +62,9 @@ PRIORS = {
     "profile": 0.1,
     "hysteresis": 1.0,
     "crosstalk": 0.3,
+    "creep": 1.0,
+    "gain_drift": 0.3,
+    "offset_drift": 0.3,
     "gain": 0.3,
     "offset": 0.3,
     "drift": 0.3,
@@ -70,18 +79,23 @@ that moves a point 0.1 m from the origin as far as the translation does."""
 LEARNED = ("modulus", "scale", "exponents", "compression", "profile")
 """Global parameters of a learned response. "modulus" is then the size of the patch, "scale" the
 amplitude of the readings, both relative to the model's."""
-ELECTRONICS = ("hysteresis", "crosstalk")
+ELECTRONICS = ("hysteresis", "crosstalk", "creep")
 """Further ones, estimated where the readings show them (joint/electronics.py)."""
+WARMING = ("gain_drift", "offset_drift")
+"""Drifts of the logarithm of the gain and of the offset of all taxels, estimated likewise."""
 LEARNED_PRIORS = {"modulus": 0.5, "scale": 0.5}
 """Their priors that differ from PRIORS: readings in a unit of their own say nothing about E*."""
 MIN_KEPT = 0.05
 """Least part of a reading at the typical level that compression leaves: no sensor has less."""
-LEARNED_ONLY = (*LEARNED[1:], *ELECTRONICS, "drift")
+LEARNED_ONLY = (*LEARNED[1:], *ELECTRONICS, *WARMING, "drift")
 """Parameters that a learned response estimates of itself, and a contact model does not have."""
 LOGARITHMS = ("modulus", "force_scale", "scale", "gain", "mesh_scale")
 """Parameters, also of a contact motion, that are natural logarithms of a factor."""
-UNITS = {"force_offset": "N", "joint_offset": "rad", "clock_offset": "s"} | dict.fromkeys(
-    ("exponents", "compression", "force_scatter", "hysteresis", "crosstalk"), ""
+UNITS = (
+    {"force_offset": "N", "joint_offset": "rad"}
+    | dict.fromkeys(("joint_delay", "clock_offset"), "s")
+    | dict.fromkeys(("exponents", "compression", "force_scatter", "hysteresis", "crosstalk"), "")
+    | dict.fromkeys(("creep", "gain_drift", "offset_drift"), "")
 )
 """Units of global parameters that are neither lengths nor angles nor logarithms."""
 
@@ -120,6 +134,8 @@ class GlobalParameters:
         entries = {
             "exponents": ("of the radius", "of the peak"),
             "hysteresis": ("share", "width"),
+            "creep": ("share", "time constant", "lift"),
+            **dict.fromkeys(WARMING, tuple(str(k + 1) for k in range(DRIFT_SIZE))),
             "profile": tuple(str(k) for k in range(1, PROFILE_SIZE + 1)),
             MOTION: tuple(
                 str(k + 1) for k in range(0 if self.motion is None else self.motion.size)
@@ -175,6 +191,9 @@ class GlobalParameters:
             "compression": "compression of strong readings 0 +- {:.3g}",
             "profile": "pressure profile within {:.3g} of the model's peak (1 sigma, smooth)",
             "hysteresis": "share of hysteresis 0 +- {:.3g}",
+            "creep": "share of creep 0 +- {:.3g}",
+            "gain_drift": "drift of the gain of all taxels 0 +- {:.3g}",
+            "offset_drift": "drift of the offset of all taxels, in nominal peaks, 0 +- {:.3g}",
             "crosstalk": "share of its neighbours' pressures in a reading 0 +- {:.3g}",
             "gain": "gain of each taxel within a factor {:.3g} of 1 (1 sigma)",
             "offset": "offset of each taxel 0 +- {:.3g} Pa",
@@ -254,7 +273,7 @@ def natural_units(
         name = label.split()[0]
         if label == "modulus" and modulus is not None:
             out[label] = modulus, modulus_sigma or modulus * sigma, "Pa"
-        elif name in LOGARITHMS or label == "hysteresis width":
+        elif name in LOGARITHMS or label in ("hysteresis width", "creep time constant"):
             out[label] = float(np.exp(value)), float(np.exp(value)) * sigma, ""
         else:
             unit = UNITS.get(name, "rad" if "rotation" in label else "m")

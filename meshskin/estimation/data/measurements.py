@@ -11,7 +11,8 @@ import numpy as np
 from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
-from .global_parameters import MODULUS, GlobalParameters
+from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
+from .unit_checks import without_hollows
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -203,6 +204,8 @@ class Measurements:
 
     def at_contacts(self, hit: Closest) -> Measurements:
         """These measurements with the contacts at the points `hit` of the body."""
+        if self.learned:
+            hit = without_hollows(hit, self.belief.indenter.radius)
         return replace(
             self,
             points=hit.point,
@@ -217,6 +220,11 @@ class Measurements:
         """Times (m,) since the first contact, relative to all: drifts begin at offset zero."""
         length = float(np.ptp(self.time)) or 1.0
         return np.asarray((self.time - self.time[0]) / length)
+
+    @cached_property
+    def drifts(self) -> Array:
+        """Legendre polynomials (m, DRIFT_SIZE) of the time, from the first degree on."""
+        return np.asarray(np.polynomial.legendre.legvander(2 * self.phase - 1, DRIFT_SIZE)[:, 1:])
 
     @cached_property
     def counts(self) -> np.ndarray:

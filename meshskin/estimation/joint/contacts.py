@@ -186,6 +186,10 @@ class LinearizedContacts:
         if "scale" in at:
             log_peak[:, at["scale"]] = 1.0
             patches = patches._replace(peak=patches.peak * np.exp(s[at["scale"]][0]))
+        if "gain_drift" in at:
+            log_peak[:, at["gain_drift"]] = data.drifts
+            drifted = np.exp(data.drifts @ s[at["gain_drift"]])
+            patches = patches._replace(peak=patches.peak * drifted)
         compression = self.parameters.value("compression", s)
         if "compression" in at:  # readings at the typical level stay
             level = data.response_levels[0]
@@ -196,8 +200,7 @@ class LinearizedContacts:
             patches = self._rescaled(patches, shape, log_peak, s[at["exponents"]])
         return Contacts(
             data.points, data.normals, data.directions, patches, shape, log_peak, None, s,
-            profile=s[at["profile"]] if "profile" in at else np.empty(0),
-            compression=compression,
+            profile=s[at["profile"]] if "profile" in at else np.empty(0), compression=compression,
         )  # fmt: skip
 
     def _rescaled(
@@ -251,7 +254,8 @@ class LinearizedContacts:
             for slope in (gradients.first, gradients.second, gradients.exponent, gradients.peak)
         )
         spin = np.einsum("mi,mi->m", gradients.spin, step)[:, None]
-        return Contacts(
+        return replace(
+            fixed,
             points=fixed.points + step,
             normals=normal,
             directions=np.cos(spin) * first + np.sin(spin) * np.cross(normal, first),
@@ -259,9 +263,6 @@ class LinearizedContacts:
             shape=tuple(a + b for a, b in zip(fixed.shape, bends, strict=False)),
             log_peak=fixed.log_peak + by_peak,
             moves=np.concatenate([moves, turns], axis=1),
-            s=s,
-            profile=fixed.profile,
-            compression=fixed.compression,
         )
 
     def _relocated(self, s: Array) -> Measurements:

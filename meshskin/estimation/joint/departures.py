@@ -1,5 +1,5 @@
 """What the readings show beyond a contact model: errors of the contacts, an offset of the indenter,
-drag, friction, hysteresis, crosstalk, and drift.
+drag, friction, hysteresis, creep, crosstalk, and drifts of one taxel or of all.
 
 Each but the first is tested by its score, the derivative of the log-likelihood in its parameter
 at zero, relative to its standard deviation there. Where contacts have errors of their own, all
@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from ...core.arrays import Array, sums_by_group
+from ..data.global_parameters import DRIFT_SIZE
 from ..data.measurements import Measurements
 from .coupled_system import CoupledSystem
 from .electronics import WIDTH, Electronics
@@ -35,10 +36,15 @@ WIDTHS = (0.5, 1.0, 2.0, 4.0)
 """Half-widths of the play operator that are tried, in units of WIDTH."""
 LIMITS = (0.1e-3, 0.25e-3, 0.5e-3, 1e-3)
 """Shears, m, from which contacts slide, that are tried."""
+TIMES = (0.1, 0.4, 1.5, 6.0)
+"""Time constants of creep that are tried, in units of creep.TIME."""
+ONE_SIDED = ("crosstalk", "friction", "hysteresis")
+"""Departures whose parameter is positive."""
 SEEN = 1e-6
 """Least information on a parameter, relative to that with known taxels: rounding is below it."""
 SHARE = 0.2
-"""Share of hysteresis from which an estimate starts: at zero its width has no effect."""
+"""Share of hysteresis and creep from which an estimate starts: at zero the width and the time
+constant have no effect."""
 
 
 @dataclass(frozen=True)
@@ -71,44 +77,53 @@ class FittedReadings:
     def scores(self) -> dict[str, tuple[float, Array]]:
         """Score of each departure, in standard deviations, and the start of its parameters; the
         largest first, but last the drift, for which each of the others can stand in."""
-        pressure = np.maximum(self.mu - self.offset, 0.0)
-        electronics = Electronics(self.data, self.readings, self.points)
-        best = max((0.0, WIDTHS[0]), *((self._lag(electronics, pressure, w), w) for w in WIDTHS))
         drift = self._each(self.data.phase[self.readings.contact])
         n = max(int(np.sum(drift != 0)), 1)
-        dragged = self._shared(self._moved(self.data.headway[:, :, None])[:, 0])
-        sheared = max((self._sheared(limit), limit) for limit in LIMITS)
-        found: dict[str, tuple[float, Array]] = {
-            "indenter_offset": (self._indenter_score(), np.zeros(3)),
-            "drag": (abs(dragged), np.zeros(1)),
-            "friction": (sheared[0], np.array([sheared[1]])),
-            "hysteresis": (best[0], np.array([SHARE, np.log(best[1])])),
-            "crosstalk": (self._shared(electronics.neighbours @ pressure), np.zeros(1)),
-        }
+        candidates, found, end = self._candidates(), dict[str, tuple[float, Array]](), 0
+        slope, information = self.shared(np.column_stack([c for _, c, _ in candidates]))
+        for name, columns, start in candidates:
+            at = slice(end, end := end + columns.shape[1])
+            score, sign = _score(slope[at], information[at, at])
+            if name in ONE_SIDED:
+                score *= sign
+            elif len(start):
+                start = start * np.where(np.arange(len(start)) == 0, sign, 1.0)
+            if name not in found or score > found[name][0]:
+                found[name] = score, start
         largest_first = dict(sorted(found.items(), key=lambda item: -item[1][0]))
         return largest_first | {"drift": (float((drift @ drift - n) / np.sqrt(2 * n)), np.zeros(0))}
 
-    def _lag(self, electronics: Electronics, pressure: Array, width: float) -> float:
-        """The score of hysteresis with the relative half-width `width` at pressures (k,)."""
-        half = np.full(len(pressure), width * WIDTH * electronics.peak)
-        return self._shared(electronics.play(pressure, half)[0] - pressure)
+    def _candidates(self) -> list[tuple[str, Array, Array]]:
+        """Departures that all taxels share, with the derivatives (k, q) of the readings in their
+        parameters at zero, and the start of these; of candidates of one name the best counts."""
+        pressure, k = np.maximum(self.mu - self.offset, 0.0), len(self.mu)
+        electronics, data = Electronics(self.data, self.readings, self.points), self.data
+        drifts = data.drifts[self.readings.contact]
+        found = [
+            ("crosstalk", electronics.neighbours @ pressure, np.zeros(1)),
+            ("drag", self.moved(data.headway[:, :, None]), np.zeros(1)),
+            ("gain_drift", drifts * pressure[:, None], np.zeros(DRIFT_SIZE)),
+            ("offset_drift", drifts * electronics.peak, np.zeros(DRIFT_SIZE)),
+        ]
+        for limit in LIMITS:
+            moved = -self.moved(shears(data, limit)[0][:, :, None])
+            found.append(("friction", moved, np.array([limit])))
+        for width in WIDTHS:
+            half = np.full(k, width * WIDTH * electronics.peak)
+            lag = electronics.play(pressure, half)[0] - pressure
+            found.append(("hysteresis", lag, np.array([SHARE, np.log(width)])))
+        for time in TIMES:
+            rise = electronics.creep.follow(pressure, np.log(time)) - pressure
+            found.append(("creep", rise, np.array([SHARE, np.log(time), 0.0])))
+        if data.headings is not None:
+            # the closest point of a centre at height r moves by 1 / (1 + r k) of its motion; one
+            # along a contact's normal does not move it
+            shrunk = 1 / (1 + data.belief.indenter.radius * data.curvature.mean(axis=1))
+            moved = self.moved(np.swapaxes(data.headings, 1, 2) * shrunk[:, None, None])
+            found += [("indenter_offset", column, np.zeros(3)) for column in moved.T]
+        return [(name, columns.reshape(k, -1), start) for name, columns, start in found]
 
-    def _sheared(self, limit: float) -> float:
-        """The score of friction whose contacts slide from the shear `limit`, m, on."""
-        return -self._shared(self._moved(shears(self.data, limit)[0][:, :, None])[:, 0])
-
-    def _indenter_score(self) -> float:
-        """The largest absolute score of an offset of the indenter along the world's axes; 0 without
-        headings. An offset along a contact's normal does not move it."""
-        data = self.data
-        if data.headings is None:
-            return 0.0
-        # the closest point of a centre at height r moves by 1 / (1 + r k) of the centre's motion
-        shrunk = 1 / (1 + data.belief.indenter.radius * data.curvature.mean(axis=1))
-        moved = self._moved(np.swapaxes(data.headings, 1, 2) * shrunk[:, None, None])
-        return max(abs(self._shared(column)) for column in moved.T)
-
-    def _moved(self, directions: Array) -> Array:
+    def moved(self, directions: Array) -> Array:
         """Derivatives (k, q) of the readings in displacements of the contacts along `directions`
         (m, 3, q), body frame."""
         moved = directions[self.readings.contact]
@@ -125,32 +140,56 @@ class FittedReadings:
         slope, information = self._moments(column)
         return np.asarray(slope * (information > 1e-9) / np.sqrt(np.maximum(information, 1e-9)))
 
-    def _shared(self, column: Array) -> float:
-        """Score of a parameter that all taxels share, with the sign of its estimate; 0 where the
-        readings do not determine it."""
-        weighted = self.curvature * column
-        known = float(weighted @ column)
+    def shared(self, columns: Array) -> tuple[Array, Array]:
+        """Derivative (q,) of the log-likelihood in parameters that all taxels share, with the
+        derivatives `columns` (k, q) of the readings, and their information (q, q); zero rows where
+        the readings do not determine them. What other unknowns that have not converged would
+        explain is left out."""
+        weighted = self.curvature[:, None] * columns
+        information = weighted.T @ columns
+        known, slope = np.diag(information).copy(), -(self.rate @ columns)
         if self.system is None:
-            information = float(self._moments(column)[1].sum())
+            each = [self._coupling(column) for column in columns.T]
+            solved = [self._solved(b) for b in each]
+            explained = [(np.stack(each, axis=2), np.stack(solved, axis=2))]
         else:
-            size = len(self.own)
-            b = self.system.pattern.transposed(self.jacobian, weighted[:, None], size)
-            explained = zip(b, self.system.solve(*b), strict=True)
-            information = known - sum(float(np.vdot(a, x)) for a, x in explained)
-        if information <= SEEN * known:
-            return 0.0
-        return -float(self.rate @ column) / information**0.5
+            parts = self.system.transposed(self.jacobian, weighted)
+            explained = list(zip(parts, self.system.solve(*parts), strict=True))
+            for (_, x), gradient in zip(explained, self.system.gradient, strict=True):
+                slope += np.ravel(gradient) @ x.reshape(-1, len(known))
+        for part, x in explained:
+            information -= part.reshape(-1, len(known)).T @ x.reshape(-1, len(known))
+        if self.system is None:  # a scale that is wrong would pass for amplitudes that change
+            scale = np.maximum(self.mu - self.offset, 0.0)
+            follows = np.ravel(self._solved(self._coupling(scale)))
+            common = weighted.T @ scale - part.reshape(-1, len(known)).T @ follows
+            own = float(self._moments(scale)[1].sum())
+            slope = slope + common * float(self.rate @ scale) / own
+            information -= np.outer(common, common) / own
+        lost = np.diag(information) <= SEEN * known
+        information[lost] = information[:, lost] = 0.0
+        return np.where(lost, 0.0, slope), information
 
     def _moments(self, column: Array) -> tuple[Array, Array]:
         """Derivative (n,) of the log-likelihood of each taxel in a parameter with the derivatives
         `column` (k,), and its information where the taxel's own unknowns are estimated."""
-        taxel, n = self.readings.taxel, len(self.points)
-        scale, unit = self._own_information
-        b = sums_by_group((self.own * self.curvature * column).T, taxel, n) / scale
-        explained = np.einsum("na,na->n", b, np.linalg.solve(unit, b[..., None])[..., 0])
+        taxel, n, b = self.readings.taxel, len(self.points), self._coupling(column)
+        explained = np.einsum("na,na->n", b, self._solved(b))
         information = sums_by_group(self.curvature * column**2, taxel, n) - explained
         slope = -sums_by_group(self.rate * column, taxel, n)
         return slope, information
+
+    def _coupling(self, column: Array) -> Array:
+        """Coupling (n, D) of each taxel's own unknowns, in their scales, with a parameter of the
+        derivatives `column` (k,)."""
+        weighted = (self.own * self.curvature * column).T
+        return (
+            sums_by_group(weighted, self.readings.taxel, len(self.points))
+            / (self._own_information[0])
+        )
+
+    def _solved(self, coupling: Array) -> Array:
+        return np.asarray(np.linalg.solve(self._own_information[1], coupling[..., None])[..., 0])
 
     @cached_property
     def _own_information(self) -> tuple[Array, Array]:
@@ -167,18 +206,46 @@ class FittedReadings:
         return scale, unit
 
 
+def _score(slope: Array, information: Array) -> tuple[float, float]:
+    """Score of q parameters together, as that of one that is as improbable, and the sign of the
+    first one's estimate; 0 where the readings determine none.
+
+    Source: Wilson and Hilferty, "The distribution of chi-square", Proceedings of the National
+    Academy of Sciences 17 (1931).
+    """
+    seen = np.diag(information) > 0
+    slope, information = slope[seen], information[np.ix_(seen, seen)]
+    count = len(slope)
+    if not count:
+        return 0.0, 1.0
+    scale = np.sqrt(np.diag(information))
+    value, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    along = (vectors.T @ (slope / scale)) * (value > SEEN) / np.maximum(value, SEEN) ** 0.5
+    square, estimate = float(along @ along), vectors @ (along / np.maximum(value, SEEN) ** 0.5)
+    sign = float(np.sign(estimate[0]) or 1.0)
+    if count == 1:
+        return square**0.5, sign
+    spread = 2 / (9 * count)
+    return float(((square / count) ** (1 / 3) - 1 + spread) / spread**0.5), sign
+
+
 def departure_scores(estimator: JointEstimator) -> dict[str, float]:
     """Score of each departure from the contact model, in standard deviations; with rigid modules
     only that of errors of the contacts."""
     found = {CONTACT_ERRORS: contact_score(estimator)}
     if isinstance(estimator.problem.parametrization, SurfaceParametrization):
-        found |= {name: score for name, (score, _) in _fitted(estimator).scores().items()}
+        found |= {
+            name: score
+            for name, (score, _) in fitted_readings(estimator, estimator.likelihood.readings.weight)
+            .scores()
+            .items()
+        }
     return found
 
 
-def _fitted(estimator: JointEstimator) -> FittedReadings:
-    """The readings at the estimate of independent taxels; those of taxels that have not converged,
-    whose score is not zero without a departure, either, have no weight."""
+def fitted_readings(estimator: JointEstimator, weight: Array) -> FittedReadings:
+    """The readings with weights (k,) at the estimate of independent taxels; those of taxels that
+    have not converged, whose score is not zero without a departure, either, have no weight."""
     problem, state, readings = estimator.problem, estimator.state, estimator.likelihood.readings
     data, taxel = estimator.data, readings.taxel
     assert isinstance(problem.parametrization, SurfaceParametrization)
@@ -191,7 +258,7 @@ def _fitted(estimator: JointEstimator) -> FittedReadings:
     names = data.parameters.nuisance_names
     along = np.einsum("kia,ik->ak", problem.parametrization.charts.tangents[taxel], jacobian[:3])
     offset = nuisance[taxel, names.index("offset")] if "offset" in names else np.zeros(len(mu))
-    weight = np.where(estimator.unconverged[taxel], 0.0, readings.weight)
+    weight = np.where(estimator.unconverged[taxel], 0.0, weight)
     return FittedReadings(
         data=data,
         readings=readings,

@@ -1,15 +1,18 @@
-"""Hysteresis and crosstalk: what a reading owes to its taxel's past and to its neighbours.
+"""Hysteresis, creep and crosstalk: what a reading owes to its taxel's past and to its neighbours.
 
-A taxel under the pressure v reads (1 - h) p + h P[p], where p = v + c (sum of its neighbours'
-pressures) and P is the play operator of half-width w, which follows p at a distance of at most w:
+A taxel under the pressure v, with p = v + c (sum of its neighbours' pressures), reads
+(1 - h) q + h P[q] of q = (1 - r) p + r Q[p]. P is the play operator of half-width w, which follows
+q at a distance of at most w:
 
-    P_k = clip(P_(k-1), p_k - w, p_k + w),  P = 0 before the first contact.
+    P_k = clip(P_(k-1), q_k - w, q_k + w),  P = 0 before the first contact.
 
-Between contacts that press a taxel its pressure is zero. The share h, ln w and c are global
-parameters. While P rests, a reading depends on the errors of the contact that last moved it, too.
-The derivatives leave out what a reading owes to the places of the neighbours.
+Q follows p with a time constant (creep.py). Between contacts that press a taxel its pressure is
+zero. The shares h and r, ln w, logarithms of times, and c are global parameters. While P rests, a
+reading depends on the errors of the contact that last moved it, too. The derivatives leave out
+what a reading owes to the places of the neighbours, and by creep to the errors of earlier contacts.
 
-Source: Visintin, Differential Models of Hysteresis (1994), section III.1.
+Sources: Visintin, Differential Models of Hysteresis (1994), section III.1; Johnson, Contact
+Mechanics (1985), section 6.5.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from scipy import sparse
 
 from ...core.arrays import Array
 from ..data.measurements import Measurements
+from .creep import Creep, lacking
 from .likelihood import Readings
 from .reading_sums import CONTACT_SIZE, pairs_of_contacts
 
@@ -46,6 +50,8 @@ class Electronics:
         where it moved, or rested on none."""
         self.lagging = np.zeros(len(readings.taxel))
         """What the play operator followed the pressures (k,) with when last applied."""
+        self.following = np.zeros(len(readings.taxel))
+        """What crept after the pressures (k,) when last applied."""
 
     def apply(
         self,
@@ -73,6 +79,17 @@ class Electronics:
             jacobian[row] += slope * c * added
             jacobian[first + at] = added
             mu = mu + c * added
+        if "creep" in self.columns:
+            r, *times = s[self.columns["creep"]]
+            at, last = first + self.columns["creep"].start, first + len(s)
+            self.following = following = self.creep.follow(mu, *times)
+            jacobian[last : last + CONTACT_SIZE] *= 1 - r * lacking(self.creep.frame, *times)
+            jacobian[:last] += r * (self.creep.follow(jacobian[:last], *times) - jacobian[:last])
+            jacobian[at] = following - mu
+            jacobian[at + 1], jacobian[at + 2] = (
+                r * slope for slope in self.creep.slopes(mu, following, *times)
+            )
+            mu = mu + r * (following - mu)
         if "hysteresis" in self.columns:
             at = self.columns["hysteresis"].start
             h, width = s[at], self.peak * WIDTH * np.exp(s[at + 1]) * scale
@@ -112,6 +129,11 @@ class Electronics:
             turned = np.where(below, -1.0, np.where(above, 1.0, turned))
             sign[own] = side[rows] = turned
         return lagging, source, side
+
+    @cached_property
+    def creep(self) -> Creep:
+        """The creep of the readings."""
+        return Creep(self.data, self.readings, self.steps)
 
     @cached_property
     def steps(self) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -1,7 +1,8 @@
-"""Hysteresis of contacts that are localised: what their taxels were pressed with before is known.
+"""Hysteresis and creep of contacts that are localised, whose taxels' past is known.
 
-The play operator of each taxel (electronics.py) is followed through the whole recording at the
-recorded contacts. A contact whose place is sought then depends on the operator's state before it.
+The play operator and the creep of each taxel (electronics.py) are followed through the whole
+recording at the recorded contacts. A contact whose place is sought then depends on their state
+before it.
 """
 
 from __future__ import annotations
@@ -13,21 +14,24 @@ import numpy as np
 from ...core.arrays import Array
 from ..data.measurements import Measurements
 from .contacts import LinearizedContacts
+from .creep import TIME, frames, lacking
 from .electronics import PAUSE, WIDTH, Electronics
 from .likelihood import Likelihood, select
 
 
 @dataclass(frozen=True)
 class KnownPast:
-    """States of the play operators of n taxels after each of k readings, sorted by taxel and
-    contact."""
+    """States of the play operators and the creep of n taxels after each of k readings, sorted by
+    taxel and contact."""
 
     data: Measurements
-    """With hysteresis among its parameters."""
+    """With hysteresis or creep among its parameters."""
     key: np.ndarray
     """Taxel times m plus contact (k,), rising."""
     state: Array
-    """(k,), in units of the noise."""
+    """Of the play operators (k,), in units of the noise."""
+    crept: Array
+    """Of the creep (k,)."""
 
     @classmethod
     def of(
@@ -40,8 +44,9 @@ class KnownPast:
         s: Array,
     ) -> KnownPast | None:
         """Of the taxels `live` (rows of points (n, 3), m, and outward normals (n, 3)) with their
-        nuisance parameters (n, q) and the global parameters s (ks,); None without hysteresis."""
-        if "hysteresis" not in data.parameters.columns:
+        nuisance parameters (n, q) and the global parameters s (ks,); None without hysteresis
+        and creep."""
+        if not {"hysteresis", "creep"} & set(data.parameters.names):
             return None
         every = np.ones(len(data.pressure)), np.ones(len(live))
         readings = select(data, live, points[live], normals[live], 0.0, *every)
@@ -52,7 +57,7 @@ class KnownPast:
         )  # fmt: skip
         key = own * len(data.points) + readings.contact
         order = np.argsort(key)
-        return cls(data, key[order], electronics.lagging[order])
+        return cls(data, key[order], electronics.lagging[order], electronics.following[order])
 
     def before(self, contact: np.ndarray, taxel: np.ndarray) -> History:
         """What pairs (k,) of contacts and taxels owe to earlier contacts."""
@@ -60,21 +65,25 @@ class KnownPast:
         last = np.searchsorted(self.key, taxel * m + contact) - 1
         found = (last >= 0) & (self.key[last] // m == taxel)
         earlier = np.where(found, self.key[last] % m, 0)
-        frame = float(np.median(np.diff(data.time))) if m > 1 else 0.0
-        pause = data.time[contact] - data.time[earlier] > PAUSE * frame
-        released = found & ((contact - earlier > 1) | pause)
-        return History(data, np.where(found, self.state[last], 0.0), released)
+        since = np.where(found, data.time[contact] - data.time[earlier], np.inf)
+        frame = frames(data.time)
+        released = found & ((contact - earlier > 1) | (since > PAUSE * np.median(frame)))
+        state, crept = (np.where(found, x[last], 0.0) for x in (self.state, self.crept))
+        return History(data, state, released, crept, since, frame[contact])
 
 
 class History:
-    """Hysteresis of k readings whose play operators' states before are known."""
+    """Hysteresis and creep of k readings whose taxels' states before are known."""
 
-    def __init__(self, data: Measurements, state: Array, released: np.ndarray) -> None:
-        """state (k,): in units of the noise; released (k,) bool: since it was taken."""
-        self.at = data.parameters.columns["hysteresis"].start
-        self.peak = data.nominal_peak / data.sigma
-        self.state, self.released = state, released
-        self.source = np.arange(len(state))
+    def __init__(
+        self, data: Measurements, state: Array, released: np.ndarray, crept: Array, since: Array,
+        frame: Array,
+    ) -> None:  # fmt: skip
+        """state, crept (k,): in units of the noise; since (k,), s, when they were taken; released
+        (k,) bool: since then; frame (k,): as of creep.frames."""
+        self.columns, self.peak = data.parameters.columns, data.nominal_peak / data.sigma
+        self.state, self.released, self.crept = state, released, crept
+        self.since, self.frame, self.source = since, frame, np.arange(len(state))
 
     def apply(
         self,
@@ -85,9 +94,18 @@ class History:
         gain: tuple[int, float],
         first: int,
     ) -> Array:
-        """As Electronics.apply; the derivatives by the share and the width are left out."""
-        share, (row, slope) = s[self.at], gain
-        width = self.peak * WIDTH * np.exp(s[self.at + 1]) * scale
+        """As Electronics.apply; the derivatives by its global parameters are left out."""
+        if "creep" in self.columns:
+            share, log_time, lift = s[self.columns["creep"]]
+            earlier = self.crept * np.exp(-self.since / (TIME * np.exp(log_time)))
+            kept = 1 - share * lacking(self.frame, log_time, lift)
+            jacobian *= kept
+            jacobian[gain[0]] += gain[1] * share * earlier
+            mu = kept * mu + share * earlier
+        if "hysteresis" not in self.columns:
+            return mu
+        (share, log_width), (row, slope) = s[self.columns["hysteresis"]], gain
+        width = self.peak * WIDTH * np.exp(log_width) * scale
         state = np.where(self.released, np.minimum(self.state, width), self.state)
         lagging = np.clip(state, mu - width, mu + width)
         side = np.sign(lagging - mu) * (lagging != state)

@@ -23,6 +23,7 @@ from ..result import (
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
+from .creep import TIME
 from .deviations import FLOOR
 from .electronics import WIDTH
 from .joint_estimator import JointEstimator
@@ -221,6 +222,9 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
         hysteresis=_hysteresis(effects),
         crosstalk=data.parameters.value("crosstalk", s),
         drift=_drift(effects),
+        creep=_creep(effects),
+        gain_drift=float(np.expm1(_common_drift(effects, "gain_drift"))),
+        offset_drift=_common_drift(effects, "offset_drift") * nominal,
         contact=data.model.name,
         references=(
             data.belief.force_reference or 1.0,
@@ -238,6 +242,23 @@ def _hysteresis(effects: RandomEffects) -> tuple[float, float]:
         return 0.0, 0.0
     share, log_width = effects.unknowns.s[columns["hysteresis"]]
     return float(share), WIDTH * float(np.exp(log_width))
+
+
+def _creep(effects: RandomEffects) -> tuple[float, float]:
+    """Share of creep, and its time constant, s."""
+    columns = effects.data.parameters.columns
+    if "creep" not in columns:
+        return 0.0, 0.0
+    share, log_time, _ = effects.unknowns.s[columns["creep"]]
+    return float(share), TIME * float(np.exp(log_time))
+
+
+def _common_drift(effects: RandomEffects, name: str) -> float:
+    """Largest change during the recording of the drift `name` of all taxels."""
+    columns = effects.data.parameters.columns
+    if name not in columns:
+        return 0.0
+    return float(np.ptp(effects.data.drifts @ effects.unknowns.s[columns[name]]))
 
 
 def _drift(effects: RandomEffects) -> float:

@@ -255,12 +255,10 @@ class Likelihood:
         contacts: Contacts,
         electronics: Electronics | History | None = None,
     ) -> tuple[Array, Array]:
-        """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns; where contacts
-        have errors of their own, in these (3), too, and with hysteresis in those (3) of the contact
-        of the reading `electronics.source`.
+        """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns, errors (3) of
+        contacts that have them, and with hysteresis those of that of `electronics.source`.
 
-        electronics: hysteresis and crosstalk, where `contact` is that of all readings; by default
-        none.
+        electronics: as of all readings, where `contact` is theirs; by default none.
         """
         data, names = self.data, self.data.parameters.nuisance_names
         lagging = electronics is not None and "hysteresis" in data.parameters.columns
@@ -301,9 +299,8 @@ class Likelihood:
             for row, side in enumerate((contacts.directions, contacts.across), last):
                 jacobian[row] = -np.einsum("ik,ki->k", jacobian[:3], side[contact])
             *slopes, by_peak = (slope[contact] for slope in contacts.by_load)
-            jacobian[last + 2] = mu * by_peak
-            for by, slope in zip(by_shape, slopes, strict=True):
-                jacobian[last + 2] += by * slope
+            by_axes = sum(by * slope for by, slope in zip(by_shape, slopes, strict=True))
+            jacobian[last + 2] = mu * by_peak + by_axes
         if electronics is not None:
             row, scale = 3 + names.index("gain"), np.exp(amplified * gain)
             mu = electronics.apply(mu, jacobian, contacts.s, scale, (row, amplified), first)
@@ -318,6 +315,10 @@ class Likelihood:
                 if electronics is not None and lagging:
                     jacobian[row] += level * load[electronics.source] * jacobian[last + 5]
             mu = self._compressed(mu, jacobian, contacts.compression, first)
+        if "offset_drift" in columns:
+            at, drifts = columns["offset_drift"], data.drifts[contact] * data.nominal_peak
+            jacobian[first + at.start : first + at.stop] = drifts.T / data.sigma
+            mu = mu + drifts @ contacts.s[at] / data.sigma
         for row, name in enumerate(names):
             if name != "gain":
                 added = data.phase[contact] if name == "drift" else np.ones(len(mu))
@@ -336,9 +337,8 @@ class Likelihood:
         basis, value, slope = ProfileCorrection(self.data.profile_extent)(u, contacts.profile)
         slope /= u
         by_point = slope[:, None] * ((x / a)[:, None] * along + (y / b)[:, None] * across)
-        if len(contacts.shape) == 1:  # one semi-axis
-            return basis, value, by_point, (-slope * (x**2 + y**2),)
-        return basis, value, by_point, (-slope * x**2, -slope * y**2)
+        axes = (x**2 + y**2,) if len(contacts.shape) == 1 else (x**2, y**2)
+        return basis, value, by_point, tuple(-slope * square for square in axes)
 
     def _compressed(self, mu: Array, jacobian: Array, compression: float, first: int) -> Array:
         """Compressed readings y / (1 + c y / p), p being the nominal peak; rescales `jacobian`."""

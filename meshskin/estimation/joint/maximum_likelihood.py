@@ -28,6 +28,7 @@ from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .departures import departure_scores
 from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
+from .jump import jump_of
 from .module_parametrization import (
     MODULE_SURFACE,
     MODULES,
@@ -178,6 +179,7 @@ def _result(
     """The result for all taxels; `declared`: the data with the belief's own parameters."""
     data, problem, state = estimator.data, estimator.problem, estimator.state
     problem.contacts.check(state.s)
+    jump = jump_of(estimator)
     parameters, parametrization = data.parameters, problem.parametrization
 
     def spread(values: Array, missing: object) -> Array:
@@ -267,7 +269,8 @@ def _result(
         faults=estimator.faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
-        departures=departure_scores(estimator),
+        departures=departure_scores(estimator) | jump.departure,
+        jump=jump.shown,
         iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
         restarted=estimator.live[restarted],
         seconds=estimator.seconds,

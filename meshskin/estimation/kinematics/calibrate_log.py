@@ -31,8 +31,9 @@ from ...scene.belief import RAW, Belief
 from ...scene.contact_motion import ContactMotion
 from ..calibrate import calibrate
 from ..calibration import Calibration
+from ..data.unit_checks import without_hollows
 from .clock import first_offset
-from .heights import Heights, surface_heights
+from .heights import Heights, surface_heights, timed_by_the_fastest
 from .joint_residuals import JointResidual, joint_residuals
 
 if TYPE_CHECKING:
@@ -58,6 +59,8 @@ MAX_DEPTH_FACTOR = 2.2
 """Depth of the indentations, relative to that under the believed material and force, or its
 inverse, from which the indenter's height is in doubt: beyond 3^(2/3) = 2.08, the depth under an E*
 or a force that is wrong by a factor of 3, from which the verdict doubts E*."""
+CLOCK_FITS = 2
+"""Fits of the clock and the heights in turn: the delays of joints do not change after the first."""
 HEIGHT_FITS = 2
 """Fits of the heights, each with depths at the contacts of the last one: depths change little."""
 
@@ -85,12 +88,16 @@ class LogCalibration(Value, Card):
 
     def facts(self) -> dict[str, str]:
         """The facts of the calibration, and what the log told of the robot, for a notebook."""
-        before, after = (
-            1e3 * float(np.median(np.abs(h))) for h in (self.heights_before, self.heights)
-        )
-        heights = f"{before:.3g} mm off the body before the estimate, {after:.2g} mm after it"
-        surprises = {"surprises": "; ".join(self.surprises)} if self.surprises else {}
-        return {**self.calibration.facts(), "contacts": heights, **surprises}
+        before, after = self.heights_mm
+        heights = f"{before:.3g} mm off the body before, {after:.2g} mm after the estimate"
+        facts = {**self.calibration.facts(), "contacts": heights}
+        return facts | ({"surprises": "; ".join(self.surprises)} if self.surprises else {})
+
+    @property
+    def heights_mm(self) -> tuple[float, float]:
+        """Medians of the heights without signs, mm, before the estimate and after it."""
+        before, after = np.abs(self.heights_before), np.abs(self.heights)
+        return 1e3 * float(np.median(before)), 1e3 * float(np.median(after))
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the calibrated skin: `Calibration.plot`."""
@@ -135,9 +142,7 @@ class LogCalibration(Value, Card):
 
     def metrics(self) -> dict[str, Any]:
         """Heights of the contacts and residuals by joint as JSON values."""
-        before, after = (
-            1e3 * float(np.median(np.abs(h))) for h in (self.heights_before, self.heights)
-        )
+        before, after = self.heights_mm
         offsets = self.joint_offsets
         joints = {
             found.joint: {
@@ -205,26 +210,20 @@ def calibrate_log(
     check_type(SkinLog, log, "what is calibrated")
     check_type(ContactKinematics, kinematics, "kinematics of a log")
     check_type(Belief, belief, "the belief about a log")
-    path, frames = joint_path(log, kinematics.chain.joint_names), contact_frames(log)
-    clock = first_offset(kinematics, path, log.time[frames], log.readings[frames])
-    frames = frames[path.covers(log.time[frames] - clock)]
-    if not len(frames):
-        raise RecordingError(
-            "no contact lies in a time of which all joint angles are known",
-            value=f"joint angles from {path.time[0]:.3f} to {path.time[-1]:.3f} s",
-            remedy="check the joints' streams for gaps (meshskin log), and the clocks",
-        )
-    time = log.time[frames] - clock  # the offset that is left is estimated, about zero
-    reference = belief.force_reference or NOMINAL_FORCE
-    force = np.full(len(frames), reference) if log.force is None else log.force[frames]
+    path = joint_path(log, kinematics.chain.joint_names)
     if belief.readings != RAW and log.force is None:
         raise CalibrationError(
             "pressures without forces cannot be calibrated",
             value='readings="pressure", no force in the log',
             remedy='give the belief readings="raw", or a log with forces',
         )
-    belief = replace(belief, force_reference=belief.force_reference or float(np.median(force)))
-    heights, x = _heights(kinematics, path, time, belief, force)
+    reference = belief.force_reference
+    if reference is None:
+        pressed = [] if log.force is None else log.force[contact_frames(log)]
+        reference = float(np.median(pressed)) if len(pressed) else NOMINAL_FORCE
+    belief = replace(belief, force_reference=reference)
+    frames, clock, heights, x = _started(log, kinematics, path, belief, reference)
+    kinematics, time, force = heights.model, heights.time, _forces(log, frames, reference)
     as_believed = np.zeros(len(x))
     if clock:
         as_believed[kinematics.columns["clock_offset"]] = -clock
@@ -261,6 +260,41 @@ def _with_clock(found: Calibration, clock: float) -> Calibration:
     return replace(found, unknowns={**found.unknowns, "clock_offset": (value + clock, sigma)})
 
 
+def _started(
+    log: SkinLog, kinematics: ContactKinematics, path: JointPath, belief: Belief, reference: float
+) -> tuple[np.ndarray, float, Heights, Array]:
+    """Frames (m,) of the contacts, the first offset of the clocks, s, their heights on that clock,
+    and x (K + 1,) that meets these. reference: force, N, where the log has none.
+
+    Delays of the joints, which the heights tell, and the clock displace contacts alike: the offset
+    of the clocks is sought again at the delays.
+    """
+    contacts, clock, s = contact_frames(log), 0.0, np.zeros(len(kinematics.labels))
+    for _ in range(CLOCK_FITS):
+        stamps, readings = log.time[contacts], log.readings[contacts]
+        further = first_offset(kinematics, path, stamps - clock, readings, s)
+        if s.any() and not further:
+            break
+        clock += further
+        frames = contacts[path.covers(stamps - clock)]
+        if not len(frames):
+            raise RecordingError(
+                "no contact lies in a time of which all joint angles are known",
+                value=f"joint angles from {path.time[0]:.3f} to {path.time[-1]:.3f} s",
+                remedy="check the joints' streams for gaps (meshskin log), and the clocks",
+            )
+        time, force = log.time[frames] - clock, _forces(log, frames, reference)
+        kinematics = timed_by_the_fastest(kinematics, path, time, belief.body)
+        heights, x = _heights(kinematics, path, time, belief, force)
+        s = x[:-1]
+    return frames, clock, heights, x
+
+
+def _forces(log: SkinLog, frames: np.ndarray, reference: float) -> Array:
+    """Forces (m,), N, at the frames (m,): those of the log, or the reference."""
+    return np.full(len(frames), reference) if log.force is None else log.force[frames]
+
+
 def _heights(
     kinematics: ContactKinematics,
     path: JointPath,
@@ -272,7 +306,8 @@ def _heights(
     x = np.zeros(len(kinematics.labels) + 1)
     for _ in range(HEIGHT_FITS):
         centres, _ = kinematics.centres(path, time, x[:-1])
-        depth = _depths(belief, belief.body.closest(centres).curvature, force)
+        hit = without_hollows(belief.body.closest(centres), belief.indenter.radius)
+        depth = _depths(belief, hit.curvature, force)
         heights = Heights(kinematics, path, time, belief.body, belief.indenter.radius, depth)
         x = heights.fit(x)
     return heights, x

@@ -29,22 +29,22 @@ MAX_CONTACTS = 2000
 
 
 def first_offset(
-    kinematics: ContactKinematics, path: JointPath, time: Array, readings: Array
+    kinematics: ContactKinematics, path: JointPath, time: Array, readings: Array, s: Array
 ) -> float:
-    """By how much, s, the stamps `time` (m,) of the readings (m, n) are late; 0 where that is not
-    declared unknown, or no offset makes the contacts of the taxels spread by less than now."""
-    s = np.zeros(len(kinematics.labels))
+    """By how much, s, the stamps `time` (m,) of the readings (m, n) are late, with the other
+    unknowns s (K,); 0 where that is not declared unknown, or no offset makes the contacts of the
+    taxels spread by less than now."""
     kept = np.arange(len(time))[:: 1 + len(time) // MAX_CONTACTS]
     contact, taxel = np.nonzero(np.isfinite(readings[kept]))
     if "clock_offset" not in kinematics.columns or not len(contact):
         return 0.0
     weight = readings[kept][contact, taxel] ** 2
+    track = JointPath(path.time, kinematics.centres(path, path.time, s)[0])
 
     def centres(offset: float) -> Array:
         """Centres (m, 3), m, in the contacts that are kept; NaN where the path has none."""
-        s[kinematics.columns["clock_offset"]] = offset
         found, known = np.full((len(kept), 3), np.nan), path.covers(time[kept] - offset)
-        found[known] = kinematics.centres(path, time[kept[known]], s)[0]
+        found[known] = track.at(time[kept[known]] - offset)[0]
         return found
 
     present = centres(0.0)

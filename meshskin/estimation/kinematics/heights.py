@@ -14,14 +14,14 @@ Source of the robust weights: Huber, "Robust Statistics" (1981).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError
 from ...geometry.body import Body
-from ...robot.contact_kinematics import ContactKinematics, JointPath
+from ...robot.contact_kinematics import DELAYS, JOINTS, ContactKinematics, JointPath
 
 MAX_ITERATIONS = 25
 """Largest number of damped Gauss-Newton steps. The heights are met within five; along directions
@@ -37,7 +37,9 @@ HUBER = 1.5
 """Residual, in standard deviations, beyond which its weight decreases: 95 % efficient without
 outliers (Source)."""
 MIN_SCATTER = 1e-5
-"""Least standard deviation of a height, m: no arm and no mesh is better."""
+"""Least standard deviation of a height, m: no arm and no mesh is better. A delay that changes the
+heights by less, in its standard deviation, is left to the readings: errors that many heights share
+would pass for information."""
 MAX_SCATTER = 3e-3
 """Largest standard deviation of the heights, m, of a body that is where it is believed: more than
 the depth of an indentation."""
@@ -110,6 +112,12 @@ class Heights:
         radius = self.radius + self.model.value("indenter_radius", s)
         return height - (radius - sunk), jacobian, points
 
+    def _weak(self, jacobian: Array) -> np.ndarray:
+        """Entries of x, delays, that change the heights by less than MIN_SCATTER."""
+        delays = np.arange(len(self.precision))[self.model.columns.get(DELAYS, slice(0))]
+        effect = np.sqrt(np.mean(jacobian[:, delays] ** 2, axis=0) / self.precision[delays])
+        return np.asarray(delays[effect < MIN_SCATTER])
+
     def fit(self, start: Array | None = None) -> Array:
         """x (K + 1,) that meets the heights, from a start, by default zero.
 
@@ -177,16 +185,38 @@ class Heights:
     def linearized(self, x: Array) -> LinearizedHeights:
         """The unknowns by heights that are linear about x (K + 1,).
 
-        Residuals that are alike in a cell of the body count as fewer.
+        Residuals that are alike in a cell of the body count as fewer. Delays that the heights
+        hardly tell stay as they were known before.
         """
         r, jacobian, points = self.residuals(x)
         weight, count = _weights(r, _scatter(r)), len(x) - 1
         weight = weight / _design_effect(points, weight * r)
         hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(self.precision)
         gradient = jacobian.T @ (weight * r) + self.precision * x
+        if len(weak := self._weak(jacobian)):
+            told = np.linalg.solve(hessian[np.ix_(weak, weak)], hessian[weak])
+            gradient = gradient - told.T @ gradient[weak]
+            hessian = hessian - told.T @ hessian[weak]
+            gradient[weak] = self.precision[weak] * x[weak]
+            hessian[weak, weak] = self.precision[weak]
         mean = np.asarray(x - np.linalg.solve(hessian, gradient), dtype=float)
         covariance = np.asarray(np.linalg.inv(hessian), dtype=float)
         return LinearizedHeights(mean[:count], covariance[:count, :count], r)
+
+
+def timed_by_the_fastest(
+    model: ContactKinematics, path: JointPath, time: Array, body: Body
+) -> ContactKinematics:
+    """The kinematics with delays of all joints but the one that moves the heights at times (m,), s,
+    fastest: the others' delays, and the clock's, are against its stamps, which tell most."""
+    names = model.chain.joint_names
+    if DELAYS not in model.columns or len(names) < 2:
+        return model
+    offsets = replace(model, unknown={JOINTS: 1.0})
+    centres, slopes = offsets.centres(path, time, np.zeros(len(names)))
+    by_joint = np.einsum("mi,mij->mj", body.closest(centres).normal, slopes)
+    fastest = int(np.argmax(np.sum((by_joint * path.at(time)[1]) ** 2, axis=0)))
+    return replace(model, delayed=names[:fastest] + names[fastest + 1 :])
 
 
 def surface_heights(

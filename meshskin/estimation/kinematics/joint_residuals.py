@@ -14,7 +14,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...geometry.body import Body
-from ...robot.contact_kinematics import JOINTS, ContactKinematics, JointPath
+from ...robot.contact_kinematics import DELAYS, JOINTS, ContactKinematics, JointPath
 
 SIGNIFICANCE = 1e-3
 """Probability by chance below which a joint is named: one robot of 170 with six sound joints is."""
@@ -56,13 +56,16 @@ def joint_residuals(
     """
     from scipy.special import fdtrc
 
-    late = kinematics.value("clock_offset", s)
-    alone = replace(kinematics, unknown={JOINTS: 1.0})
-    columns = kinematics.columns
-    offsets = s[columns[JOINTS]] if JOINTS in columns else np.zeros(len(alone.labels))
-    centres, slopes = alone.centres(path, time - late, offsets)
-    by_joint = np.einsum("mi,mij->mj", body.closest(centres).normal, slopes)
-    angles, total = path.at(time - late)[0], max(float(r @ r), 1e-24)
+    time = time - kinematics.value("clock_offset", s)
+    names = [name for name in (JOINTS, DELAYS) if name in kinematics.columns]
+    alone = replace(kinematics, unknown={JOINTS: 1.0} | dict.fromkeys(names, 1.0))
+    known = np.zeros(len(alone.labels))
+    for name in names:
+        known[alone.columns[name]] = s[kinematics.columns[name]]
+    centres, slopes = alone.centres(path, time, known)
+    by_joint = slopes[:, :, alone.columns[JOINTS]]
+    by_joint = np.einsum("mi,mij->mj", body.closest(centres).normal, by_joint)
+    angles, total = path.at(time, alone.delays(known))[0], max(float(r @ r), 1e-24)
     found = []
     for k, name in enumerate(alone.chain.joint_names):
         q = angles[:, k]

@@ -57,7 +57,8 @@ class KnownResponse:
         """That of the calibration `found` of a recording.
 
         Raises CalibrationError for a calibration without learned response, and for a response with
-        hysteresis or crosstalk, whose readings depend on those before and beside them.
+        hysteresis, creep, crosstalk or a common drift: its readings depend on those before and
+        beside them, or on the time.
         """
         response, errors = found.response, found.contact_errors
         if response is None or errors is None:
@@ -65,10 +66,17 @@ class KnownResponse:
                 "the calibration has no learned response of this recording",
                 remedy='calibrate the recording with readings="raw" or contact="learned"',
             )
-        if response.hysteresis[0] or response.crosstalk:
+        shares = {
+            "hysteresis": response.hysteresis[0],
+            "crosstalk": response.crosstalk,
+            "creep": response.creep[0],
+            "gain drift": response.gain_drift,
+            "offset drift": response.offset_drift,
+        }
+        if any(shares.values()):
             raise CalibrationError(
-                "a response with hysteresis or crosstalk cannot be replayed online",
-                value=f"shares {response.hysteresis[0]:.2g} and {response.crosstalk:.2g}",
+                f"a response with {', '.join(n for n in shares if shares[n])} cannot be replayed",
+                value=", ".join(f"{value:.2g}" for value in shares.values() if value),
                 remedy="use the calibration of the whole recording: meshskin calibrate",
             )
         belief = replace(recorded_belief(found), contact=LEARNED)

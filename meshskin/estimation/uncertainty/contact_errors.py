@@ -9,6 +9,7 @@ the readings displaces a taxel: the path of the contact points does.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,20 +39,26 @@ def systematic_covariance(
     unknowns: Mapping[str, tuple[float, float]],
     rotations: Array,
     shape: Array,
+    jump: Array | None = None,
 ) -> Array:
     """What these errors add to the covariances (n, 6, 6) of the taxels' poses, taxel frame.
 
     unknowns: estimated global parameters, whose offsets may explain the distances. rotations
-    (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators.
+    (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators; jump (3,), m: displacement of
+    the contacts in a part of the recording.
     """
-    points, moved = data.points, data.points + _offsets(data, unknowns)
+    points, moved = data.points, data.points + offsets(data, unknowns)
     hit, moved_hit = data.body.closest(points), data.body.closest(moved)
     # readings do not show an offset along the normals: where it explains no distance, it is none
     if np.sum(moved_hit.distance**2) < np.sum(hit.distance**2):
         points, hit = moved, moved_hit
     tangents = rotations[:, :, :2]
-    along = np.einsum("nia,i->na", tangents, _sideways(data, points, hit.distance, hit.normal))
+    sideways = motion(data, points, hit.distance, hit.normal).at(_middles(data))
+    along = np.einsum("nia,ni->na", tangents, sideways)
     tangential = along[:, :, None] * along[:, None, :]
+    if jump is not None:
+        apart = np.einsum("nia,i->na", tangents, jump)
+        tangential += apart[:, :, None] * apart[:, None, :]
     tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
     into = surface_motion(shape)
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
@@ -70,6 +77,15 @@ def local_means(data: Measurements, distance: Array) -> tuple[Array, Array]:
     return mean, np.asarray(scatter * np.bincount(data.taxel, share**2, n))
 
 
+def _middles(data: Measurements) -> Array:
+    """Means (n, 3), m, of each taxel's contact points, weighted by pressure squared; those of all
+    without readings."""
+    weight, n = data.pressure**2, len(data.ids)
+    total = np.bincount(data.taxel, weight, n)[:, None]
+    sums = sums_by_group(weight[:, None] * data.points[data.contact], data.taxel, n)
+    return np.where(total > 0, sums / np.maximum(total, 1e-300), data.points.mean(axis=0))
+
+
 def _normal_variance(data: Measurements, distance: Array) -> Array:
     """Variance (n,), m^2, of the surface under each taxel along its normal, by the distances (m,),
     m, of its contact points; of a taxel without readings, by those of all.
@@ -84,46 +100,95 @@ def displacement(distance: Array, normals: Array) -> Array:
 
     Single contacts far off the surface have no part in it.
     """
+    return _visible(normals, distance)
+
+
+def _visible(columns: Array, distance: Array) -> Array:
+    """The combination (q,) of `columns` (m, q) that explains distances (m,), m, without what these
+    do not show and what is within SHIFT_SIGMAS of chance."""
     size = np.abs(distance)
     near = size <= GROSS * np.quantile(size, 0.95)
-    distance, normals = distance[near], normals[near]
-    value, vectors = np.linalg.eigh(normals.T @ normals)
-    good = value > MIN_SPREAD * len(normals)
+    distance, columns = distance[near], columns[near]
+    value, vectors = np.linalg.eigh(columns.T @ columns)
+    good = value > MIN_SPREAD * len(columns)
     basis = vectors[:, good] / np.sqrt(value[good])
-    along = basis.T @ (normals.T @ distance)
-    rest = float(np.sum(distance**2) - np.sum(along**2)) / max(len(distance) - 3, 1)
+    along = basis.T @ (columns.T @ distance)
+    rest = float(np.sum(distance**2) - np.sum(along**2)) / max(len(distance) - columns.shape[1], 1)
     along[np.abs(along) < SHIFT_SIGMAS * np.sqrt(max(rest, 0.0))] = 0.0
     return np.asarray(basis @ along)
 
 
-def _sideways(data: Measurements, points: Array, distance: Array, normals: Array) -> Array:
-    """The displacement (3,), m, of the contact points (m, 3) along which taxels are displaced, too.
+@dataclass(frozen=True)
+class Motion:
+    """A displacement of points with a turn and a change of scale about their middle."""
 
-    It is zero where it does not explain the distances (m,), m, and where a body of another size,
+    middle: Array
+    """(3,), m."""
+    shift: Array
+    """(3,), m."""
+    turn: Array
+    """(3,), rad."""
+    stretch: float
+    """Relative change of size."""
+
+    def at(self, points: Array) -> Array:
+        """Displacements (m, 3), m, of points (m, 3), m."""
+        arm = points - self.middle
+        return np.asarray(self.shift + np.cross(self.turn, arm) + self.stretch * arm)
+
+    @classmethod
+    def explaining(cls, points: Array, distance: Array, normals: Array) -> Motion:
+        """That of contact points (m, 3), m, which explains their distances (m,), m, from a surface
+        with normals (m, 3), as `displacement`."""
+        middle = points.mean(axis=0)
+        arm = points - middle
+        size = float(np.sqrt(np.mean(np.sum(arm**2, axis=1)))) or 1.0
+        outward = np.einsum("mi,mi->m", arm, normals)[:, None] / size
+        x = _visible(np.hstack([normals, np.cross(arm, normals) / size, outward]), distance)
+        return cls(middle, x[:3], x[3:6] / size, float(x[6]) / size)
+
+
+def motion(data: Measurements, points: Array, distance: Array, normals: Array) -> Motion:
+    """The motion of the contact points (m, 3) that displaces the taxels, too.
+
+    It is none where it does not explain the distances (m,), m, and where a body of another size,
     scaled or offset along its normals, explains them better: its taxels are where the contacts are.
+    One with turn and scale must leave a tenth of what the simpler ones leave.
     """
-    shift = displacement(distance, normals)
-    rest = distance - normals @ shift
+    middle, none, shift = points.mean(axis=0), np.zeros(3), displacement(distance, normals)
+
+    def left(rest: Array) -> tuple[float, float]:
+        """Sum of the taxels' squared mean distances, and what scatter has in it."""
+        mean, variance = local_means(data, rest)
+        return float(np.sum(mean**2)), 2 * float(np.sum(variance))
+
+    rests = [distance - normals @ shift]
     for size in (np.ones(len(distance)), np.einsum("mi,mi->m", points, normals)):
-        factor = (size @ distance) / max(float(size @ size), 1e-300)
-        if np.sum((distance - factor * size) ** 2) <= np.sum(rest**2):
-            return np.zeros(3)
-    (left, variance), (local, _) = local_means(data, rest), local_means(data, distance)
-    explained = np.sum(left**2) <= MAX_LEFT * np.sum(local**2) + 2 * np.sum(variance)
-    return shift if explained else np.zeros(3)
+        rests.append(distance - (size @ distance) / max(float(size @ size), 1e-300) * size)
+    squares = [float(np.sum(rest**2)) for rest in rests]
+    whole, (simple, scatter) = left(distance)[0], left(rests[int(np.argmin(squares))])
+    found = Motion.explaining(points, distance, normals)
+    if sum(left(distance - np.sum(normals * found.at(points), axis=1))) < MAX_LEFT * simple:
+        return found
+    moves = squares[0] < min(squares[1:]) and simple <= MAX_LEFT * whole + scatter
+    return Motion(middle, shift if moves else none, none, 0.0)
 
 
-def _offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> Array:
+def offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> Array:
     """Displacements (m, 3), m, of the contact points by the estimated offsets."""
+    motion = data.parameters.motion
+    by_motion = () if motion is None else motion.labels
 
     def value(name: str, kind: str = "") -> Array:
+        if f"{name} {kind}x" in by_motion:
+            return np.zeros(3)
         return np.array([unknowns.get(f"{name} {kind}{axis}", (0.0, 0.0))[0] for axis in "xyz"])
 
     turned = data.points @ se3.exp_so3(value("body_offset", "rotation ")).T
     out: Array = turned - data.points + value("body_offset")
     if data.headings is not None:
         out += np.swapaxes(data.headings, 1, 2) @ value("indenter_offset")
-    if (motion := data.parameters.motion) is not None:
+    if motion is not None:
         found = np.array([unknowns[label][0] for label in motion.labels if label in unknowns])
         if len(found):  # contacts keep their heights
             moved = motion.slopes @ (found - motion.mean - motion.root @ motion.about)

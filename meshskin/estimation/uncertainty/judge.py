@@ -20,7 +20,7 @@ from ..data.unit_checks import angles
 from ..joint.departures import MIN_SCORE
 from ..joint.learned_result import MAX_CORRELATION
 from . import verdict, weighted_means
-from .contact_errors import displacement
+from .contact_errors import displacement, motion, offsets
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def judge(
         lambda: _modulus(data, calibration),
         lambda: _scale(data, calibration),
         lambda: _priors(data, calibration),
-        lambda: _surface(recording, data, calibration),
+        lambda: _surface(data, calibration),
         lambda: _normals(recording, data),
         lambda: weighted_means.findings(data, calibration),
         lambda: verdict.forces(recording, calibration),
@@ -222,32 +222,32 @@ def _priors(data: Measurements, calibration: Calibration) -> list[Finding]:
     return found
 
 
-def _surface(recording: Recording, data: Measurements, calibration: Calibration) -> list[Finding]:
+def _surface(data: Measurements, calibration: Calibration) -> list[Finding]:
     """Distances of the recorded contact points from the believed surface.
 
-    An offset of body or indenter that was estimated may explain them.
+    They are those that an estimated offset of body or indenter leaves.
     """
-    rows = np.flatnonzero(recording.force > 0)
-    if not len(rows):
-        return []
-    hit = data.body.closest(recording.points[rows])
+    hit = data.body.closest(data.points)
+    there = data.body.closest(data.points + offsets(data, calibration.unknowns))
+    if np.sum(there.distance**2) < np.sum(hit.distance**2):
+        hit = there
     distance, median = hit.distance, float(np.median(hit.distance))
-    typical, shift = float(np.median(np.abs(distance))), displacement(distance, hit.normal)
+    typical, move = float(np.median(np.abs(distance))), displacement(distance, hit.normal)
+    best = motion(data, hit.point + distance[:, None] * hit.normal, distance, hit.normal)
     depth = float(np.median(data.radii**2 * (data.curvature.mean(axis=1) + 1 / _radius(data))))
-    moved = [
-        abs(value)
-        for label, (value, _) in calibration.unknowns.items()
-        if label.split()[0] in ("body_offset", "indenter_offset") and "rotation" not in label
-    ]
-    size = max(typical, float(np.linalg.norm(shift)))
-    level = level_of(max(size - 2 * max(moved, default=0.0), 0.0) / depth, SURFACE_DEPTHS)
+    moved = float(np.sqrt(np.mean(np.sum(best.at(data.points) ** 2, axis=1))))
+    size = max(typical, float(np.linalg.norm(move)), moved)
+    level = level_of(size / depth, SURFACE_DEPTHS)
     if level == PASS:
         return []
-    side = "above" if median > 0 else "below"
+    side, extra = "above" if median > 0 else "below", ""
     where = f"{side} the believed surface" if abs(median) > 0.5 * typical else "off the surface"
+    if best.turn.any() or best.stretch:
+        move, turn = best.shift, ", ".join(f"{-x:.2g}" for x in np.degrees(best.turn))
+        extra = f", turned by ({turn}) degrees and scaled by {1 - best.stretch:.4g}"
     words = (
         f"contact points lie {1e3 * typical:.3g} mm {where} in the median, and on it best if moved "
-        f"by ({', '.join(f'{-1e3 * x:.2g}' for x in shift)}) mm (limit "
+        f"by ({', '.join(f'{-1e3 * x:.2g}' for x in move)}) mm{extra} (limit "
         f"{1e3 * SURFACE_DEPTHS[0] * depth:.2g} mm, a tenth of the indentation): check the body's "
         "scale and frame, the indenter's position and its radius, or declare body_offset or "
         "indenter_offset unknown"

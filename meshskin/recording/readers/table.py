@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from ...core.config import UNITS
 from ...core.errors import RecordingError, UnknownNameError
-from ..log_map import StreamMap
+from ..log_map import TIME_UNITS, StreamMap
 from ..message_types import MIN_TAXELS
 from ..stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, contact_fields
 
@@ -30,7 +29,7 @@ SUFFIXES = (".csv", ".parquet")
 TIME_NAMES = ("time", "t", "timestamp", "stamp")
 """Names of the column of times, before their unit; without a unit they are in s."""
 JOINT_NAMES = ("q", "joint", "position", "angle")
-"""First words of the names of columns that could be joint angles."""
+"""Words of the names of columns that could be joint angles."""
 
 
 def read(
@@ -117,7 +116,7 @@ def _is_parquet(file: Path) -> bool:
 def _time_column(names: list[str], file: Path) -> str:
     for name in names:
         base, _, unit = name.lower().partition("_")
-        if base in TIME_NAMES and (not unit or unit in UNITS["s"]):
+        if base in TIME_NAMES and (not unit or unit in TIME_UNITS):
             return name
     raise RecordingError(
         f"{file.name} has no column of times",
@@ -147,8 +146,8 @@ def _stream(
         _numbers(batch, [time, *wanted], file) for batch in _batches(file, [time, *wanted], notes)
     ]
     table = np.concatenate(parts) if parts else np.empty((0, 1 + len(wanted)))
-    unit = time.lower().partition("_")[2]
-    times = table[:, 0] * UNITS["s"].get(unit, 1.0)
+    stated = TIME_UNITS["s" if given is None else given.time_unit]
+    times = table[:, 0] * TIME_UNITS.get(time.lower().rpartition("_")[2], stated)
     if given is None:
         return Stream(topic, "table", times, np.empty((len(times), 0)), tuple(columns))
     given.check_length(len(columns), 0)
@@ -242,7 +241,7 @@ def _suggest(stream: Stream) -> list[StreamMap]:
     """What a group of columns could be, by its name and size."""
     name = stream.name.rpartition("/")[2].lower()
     width = len(stream.fields)
-    if name.startswith(JOINT_NAMES):
+    if set(JOINT_NAMES) & set(re.split(r"[^a-z]+", name)):
         return [StreamMap(stream.name, JOINTS, stream.fields if width < 2 else ())]
     if name.startswith(("wrench", "force", "ft")) and width in (3, 6):
         return [StreamMap(stream.name, WRENCH)]

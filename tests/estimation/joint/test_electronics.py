@@ -1,4 +1,4 @@
-"""Hysteresis and crosstalk of readings against loops over every reading, and finite differences."""
+"""Hysteresis, creep and crosstalk against loops over every reading, and finite differences."""
 
 from types import SimpleNamespace
 
@@ -52,6 +52,28 @@ def test_the_play_operator_against_a_loop():
     np.testing.assert_allclose(
         lagging[moved], (pressure[at][source] + side * width[at[1]])[moved], atol=1e-12
     )
+
+
+def test_creep_against_the_differential_equation():
+    """Of pressures that are held but for 0.2 s, with pauses in which a taxel is not read."""
+    rng = np.random.default_rng(1)
+    interval = rng.uniform(0.3, 1.2, 40)
+    time, tau, lift, step = np.cumsum(interval), 0.7, 0.2, 5e-3
+    pressure = rng.uniform(0.0, 100.0, (40, 3)) * (rng.random((40, 3)) < 0.6)
+    row, column = np.nonzero(pressure)
+    made = electronics(row, column, np.zeros((3, 3)), time, names=("creep",))
+    at = made.readings.contact, made.readings.taxel
+    state, expected, before = np.zeros(3), np.zeros_like(pressure), time[0]
+    for k, now in enumerate(pressure):
+        frame = np.median(np.diff(time)) if k == 0 else time[k] - before
+        for held, target in ((lift, 0.0), (frame - lift, now)):
+            steps = round(held / step)
+            for _ in range(steps):
+                half = held / steps / (2 * tau)  # the implicit midpoint rule
+                state = (state * (1 - half) + 2 * half * target) / (1 + half)
+        expected[k], before = state, time[k]
+    found = made.creep.follow(pressure[at], np.log(tau), lift / tau)
+    np.testing.assert_allclose(found, expected[at], atol=1e-3)
 
 
 @pytest.mark.parametrize("released", ["a contact apart", "a pause"])
@@ -125,26 +147,53 @@ def test_derivatives():
             assert 0.1 < np.mean(made.source != np.arange(len(own))) < 0.9
 
 
+def test_derivatives_of_creep():
+    """In the share, the times, and an unknown of each taxel; those in a contact's error but for
+    what earlier contacts leave."""
+    rng = np.random.default_rng(4)
+    pressure = rng.uniform(10.0, 100.0, (30, 4))
+    row, column = np.indices(pressure.shape).reshape(2, -1)
+    time = np.cumsum(rng.uniform(0.2, 2.0, 30))
+    made = electronics(row, column, np.zeros((4, 3)), time, names=("creep",))
+    at = made.readings.contact, made.readings.taxel
+    slope, s, one = rng.normal(size=pressure.shape), np.array([0.3, -0.4, 0.2]), np.ones(120)
+
+    def apply(x, s):
+        jacobian = np.zeros((8, 120))
+        jacobian[0] = jacobian[5] = slope[at]
+        return made.apply((pressure + slope * x)[at], jacobian, s, one, (1, 1.0), 2), jacobian
+
+    jacobian = apply(0.0, s)[1]
+    for k, (dx, *ds) in enumerate(np.eye(4)):
+        up, down = (apply(e * dx, s + e * np.array(ds))[0] for e in (1e-6, -1e-6))
+        expected = (up - down) / 2e-6
+        np.testing.assert_allclose(jacobian[0 if k == 0 else k + 1], expected, atol=1e-5)
+    first = at[0] == 0
+    np.testing.assert_allclose(jacobian[5, first], jacobian[0, first])
+
+
 def test_a_known_past_gives_the_same_readings():
     """The state before each contact, from the readings of the others, also after releases."""
     rng = np.random.default_rng(5)
     made, pressure = every(rng)
     keep = rng.random(pressure.shape) < 0.7
     row, column = np.nonzero(keep)
-    made = electronics(row, column, made.points, names=("hysteresis",))
+    made = electronics(row, column, made.points, names=("hysteresis", "creep"))
     made.data.points = np.zeros((*pressure.shape[:1], 3))
     at, m = (made.readings.contact, made.readings.taxel), len(pressure)
-    s, scale = np.array([0.4, 0.3]), np.linspace(0.8, 1.2, pressure.shape[1])[at[1]]
-    jacobian = np.zeros((7, len(scale)))
+    s = np.array([0.4, 0.3, 0.2, -3.0, 0.1])  # hysteresis, creep
+    scale = np.linspace(0.8, 1.2, pressure.shape[1])[at[1]]
+    jacobian = np.zeros((10, len(scale)))
     jacobian[0] = 1.0
     read = made.apply(pressure[at], jacobian, s, scale, (1, 1.0), 2)
     key = at[1] * m + at[0]
     order = np.argsort(key)
-    past = KnownPast(made.data, key[order], made.lagging[order])
+    past = KnownPast(made.data, key[order], made.lagging[order], made.following[order])
     some = rng.permutation(len(scale))[:100]
-    history, slopes = past.before(at[0][some], at[1][some]), np.ones((8, 100))
+    history, slopes = past.before(at[0][some], at[1][some]), np.ones((11, 100))
     again = history.apply(pressure[at][some], slopes, s, scale[some], (1, 1.0), 2)
     np.testing.assert_allclose(again, read[some], atol=1e-9)
     moved = made.source[some] == some
-    assert set(np.round(slopes[0], 9)) == {0.6, 1.0}
-    np.testing.assert_allclose(slopes[0][~moved], 0.6)
+    kept = 1 - 0.2 * np.exp(0.1 - 0.01 / np.exp(-3.0))  # of a frame of 10 ms
+    assert set(np.round(slopes[0], 9)) == set(np.round([0.6 * kept, kept], 9))
+    np.testing.assert_allclose(slopes[0][~moved], 0.6 * kept)

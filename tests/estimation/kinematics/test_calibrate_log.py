@@ -9,13 +9,18 @@ from meshskin.core.errors import CalibrationError, ConfigError, RecordingError, 
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.kinematics.calibrate_log import calibrate_log
 from meshskin.estimation.kinematics.clock import first_offset
-from meshskin.estimation.kinematics.heights import Heights
+from meshskin.estimation.kinematics.heights import Heights, timed_by_the_fastest
 from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, position_errors
 from meshskin.recording.log_contacts import contact_frames, joint_path, recording_of
 
 from .simulated_log import CLOCK, explore
 
-KNOWN = {"joint_offset": np.radians(1.0), "indenter_position": 2e-4, "clock_offset": 0.05}
+KNOWN = {
+    "joint_offset": np.radians(1.0),
+    "joint_delay": 0.02,
+    "indenter_position": 2e-4,
+    "clock_offset": 0.05,
+}
 
 
 @pytest.fixture(scope="module")
@@ -70,10 +75,11 @@ def test_a_small_exploration(small):
     assert np.median(np.abs(found.heights_before)) > 1e-3
     assert found.surprises == ()
     assert found.calibration.verdict.level == "PASS"
-    tight = replace(found, kinematics=small.kinematics(**KNOWN | {"clock_offset": 5e-3}))
-    assert [words.split(" of ")[0] for words in tight.surprises] == [
-        "clock_offset is 0.037, 7.4 times its believed standard deviation"
-    ]
+    doubted = replace(found.kinematics, unknown=KNOWN | {"clock_offset": 5e-3})
+    tight = replace(found, kinematics=doubted)
+    (surprise,) = tight.surprises
+    assert surprise.startswith("clock_offset is 0.03")
+    assert surprise.endswith("7.3 times its believed standard deviation of 0.005")
     values = found.calibration.parameter_values
     assert values["joint_offset joint4"][2] == "rad"
     assert values["clock_offset"][1:] == (found.unknowns["clock_offset"][1], "s")
@@ -105,10 +111,12 @@ def test_clocks_far_apart_give_a_start(small):
     )  # by 3 s of frames, and by 0.6 s of each gap between that a frame passed
     for moved, offset in ((log, 0.0), (late, CLOCK + 0.48), (later, CLOCK + 3.0)):
         rows = contact_frames(moved)
-        found = first_offset(model, path, log.time[rows], moved.readings[rows])
+        none = np.zeros(len(model.labels))
+        found = first_offset(model, path, log.time[rows], moved.readings[rows], none)
         assert found == pytest.approx(offset, abs=0.03)
     known = small.kinematics(joint_offset=0.01)
-    assert first_offset(known, path, log.time[rows], late.readings[rows]) == 0.0
+    none = np.zeros(len(known.labels))
+    assert first_offset(known, path, log.time[rows], late.readings[rows], none) == 0.0
 
 
 @pytest.mark.slow
@@ -126,6 +134,50 @@ def test_the_whole_exploration():
     exploration = explore()
     found = calibrate_log(exploration.log, exploration.kinematics(**KNOWN), belief(exploration))
     check(exploration, found, 1.2)
+
+
+def stamped_late(exploration, delays):
+    """The log with the stamps of its joints late by `delays` (6,), s."""
+    log = exploration.log
+    angles = log.joint_angles.copy()
+    for k in np.flatnonzero(delays):
+        early = exploration.robot.at(log.time - delays[k])[0]
+        angles[:, k] += (early - exploration.robot.at(log.time)[0])[:, k]
+    return replace(log, joint_angles=angles)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delays", [(0, 0, 5e-3, 0, 0, 0), (0.037, 0.037, 0.037, 0, 0, 0)])
+def test_joints_stamped_at_different_times(small, delays):
+    """One joint late by 5 ms, and joints of two clocks."""
+    log = stamped_late(small, delays)
+    found = calibrate_log(log, small.kinematics(**KNOWN), belief(small))
+    assert found.kinematics.delayed == ("joint6", "joint5", "joint4", "joint2", "joint1")
+    for joint in found.kinematics.delayed:
+        value, sigma = found.unknowns[f"joint_delay {joint}"]
+        true = delays[small.log.joint_names.index(joint)] - delays[2]
+        assert abs(value - true) < min(4 * sigma, 2e-3), joint
+    value, sigma = found.unknowns["clock_offset"]
+    assert abs(value - CLOCK + delays[2]) < min(4 * sigma, 2e-3)
+    errors = position_errors(found.calibration, small.scene.skin)
+    assert np.sqrt(np.mean(errors**2)) < 2.5e-5
+    assert np.mean(nees(found.calibration, small.scene.skin)) < 3.5
+
+
+def test_heights_alone_find_a_late_joint(small):
+    """And those of the readings of which the joints hardly move leave the heights as they are."""
+    model = small.kinematics(joint_offset=np.radians(1.0), joint_delay=0.02)
+    path = joint_path(stamped_late(small, (0, 0.03, 0, 0, 0, 0)), model.chain.joint_names)
+    time, body = small.log.time[small.frames] - CLOCK, small.scene.body
+    inside = path.covers(time)
+    time, depth = time[inside], np.full(inside.sum(), 1e-3)
+    model = timed_by_the_fastest(model, path, time, body)
+    heights = Heights(model, path, time, body, small.scene.indenter.radius, depth)
+    fit = heights.linearized(heights.fit())
+    found = dict(zip(model.labels, fit.mean, strict=True))
+    assert found["joint_delay joint2"] == pytest.approx(0.03, abs=1e-3)
+    for joint in ("joint1", "joint4", "joint5"):
+        assert abs(found[f"joint_delay {joint}"]) < 1e-3
 
 
 def test_heights_alone_find_the_joints(small):

@@ -188,3 +188,33 @@ def test_single_wrong_contacts_are_no_displacement_of_all():
     shift = np.array([2e-3, 0.0, 1e-4])
     found = contact_errors.displacement(distance + normals @ shift, normals)
     np.testing.assert_allclose(found[[0, 2]], shift[[0, 2]], atol=1e-5)
+
+
+@pytest.mark.parametrize(("turn", "stretch", "most"), [(0.03, 0.0, 1.5), (0.0, 0.015, 3.0)])
+def test_turns_and_scales_about_the_middle(turn, stretch, most):
+    """Contact points on an ellipsoid, turned about a normal, or scaled: a displacement or a body of
+    another size does not explain their distances."""
+    scene = ms.Scene.load("ellipsoid")
+    log = press(scene)
+    arm = log.points - log.points.mean(axis=0)
+    axis = log.normals.mean(axis=0) / np.linalg.norm(log.normals.mean(axis=0))
+    wrong = moved(log, turn * np.cross(axis, arm) + stretch * arm)
+    found = ms.calibrate(wrong, scene.belief())
+    # patches that are wider contradict the model: that misfit is in sigma, too
+    assert 0.7 < stated_over_true(found, scene.skin.positions) < most
+    (reason,) = [words for words in found.verdict.reasons if "on it best" in words]
+    assert "turned by" in reason
+    if stretch:
+        assert float(reason.split("scaled by ")[1].split()[0]) == pytest.approx(0.985, abs=1e-3)
+
+
+def test_a_body_mounted_anew_is_named_and_counted(noisy, log):
+    half = (np.arange(len(log.points)) >= len(log.points) // 2)[:, None]
+    along = np.cross(noisy.skin.normals.mean(axis=0), [1.0, 0.0, 0.0])
+    found = ms.calibrate(moved(log, 0.5e-3 * half * along), noisy.belief(contact="auto"))
+    assert 0.7 < stated_over_true(found, noisy.skin.positions) < 2.5
+    assert found.verdict.level == "DOUBT"
+    assert any("a jump of the contacts at 50%" in words for words in found.verdict.reasons)
+    sound = ms.calibrate(log, noisy.belief(contact="auto"))
+    assert sound.verdict.level == "PASS"
+    assert np.median(sound.position_sigma) < 0.05e-3

@@ -1,0 +1,91 @@
+"""A declared offset of the body by the distances of the contact points from its surface.
+
+Contact points are on the surface of the body at its true place. Over a body that curves in several
+directions their distances determine most of an unknown offset, which readings hardly do: taxels
+move with it. The directions in which the body slides along itself are left to the prior.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core import se3
+from ...core.arrays import Array
+from ...scene.contact_motion import ContactMotion
+from .global_parameters import declared_parameters
+
+if TYPE_CHECKING:
+    from ...scene.belief import Belief
+
+ITERATIONS = 30
+"""Largest number of Gauss-Newton steps; 5 to 10 are usual for offsets of millimetres."""
+CONVERGED = 1e-3
+"""Length of a step, in standard deviations, from which nothing moves."""
+HUBER = 1.5
+"""Distance, in standard deviations, beyond which a contact's weight decreases: 95 % efficient
+without outliers (Huber, "Robust Statistics", 1981)."""
+MAD = 0.6745
+"""Median absolute value of a standard normal variable."""
+MIN_SCATTER = 1e-5
+"""Least standard deviation of a distance, m: no arm and no mesh is better."""
+CELL = 0.01
+"""Size, m, of cells of the body in which all contacts together count as one: dents of a mesh are as
+wide as this and more."""
+
+
+def registered(belief: Belief, points: Array) -> tuple[Belief, Array]:
+    """The belief with the body offset as a contact motion about its value by the distances, and the
+    contact points (m, 3), m, moved there.
+
+    Both as they are where no body offset is unknown, where the belief has another contact motion,
+    and where the points are on the surface: they were computed from it, wherever the body was.
+    """
+    if "body_offset" not in belief.unknown or belief.contact_motion is not None:
+        return belief, points
+    if np.median(np.abs(belief.body.closest(points).distance)) < MIN_SCATTER:
+        return belief, points
+    declared = declared_parameters(("body_offset",), belief.priors, 1.0, 1.0)
+    offset, covariance = _fit(belief, points, declared.sigma)
+    moved = _moved(points, offset)
+    arms = -se3.hat(moved)
+    value, vectors = np.linalg.eigh(covariance)
+    motion = ContactMotion(
+        labels=declared.labels,
+        sigma=declared.sigma,
+        slopes=np.concatenate([np.broadcast_to(np.eye(3), arms.shape), arms], axis=2),
+        mean=offset,
+        root=vectors * np.sqrt(np.maximum(value, 0.0)),
+    )
+    unknown = tuple(name for name in belief.unknown if name != "body_offset")
+    return replace(belief, unknown=unknown, contact_motion=motion), moved
+
+
+def _moved(points: Array, offset: Array) -> Array:
+    """Points (m, 3), m, moved by an offset (6,), m and rad, as the joint estimate moves them."""
+    return np.asarray(points @ se3.exp_so3(offset[3:]).T + offset[:3])
+
+
+def _fit(belief: Belief, points: Array, sigma: Array) -> tuple[Array, Array]:
+    """The most likely offset (6,), m and rad, with standard deviations sigma (6,) before, and its
+    covariance (6, 6)."""
+    offset, prior = np.zeros(6), sigma**-2
+    for _ in range(ITERATIONS):
+        moved = _moved(points, offset)
+        hit = belief.body.closest(moved)
+        scatter = max(float(np.median(np.abs(hit.distance))) / MAD, MIN_SCATTER)
+        scatter = float(np.hypot(scatter, belief.surface_sigma))
+        far = HUBER * scatter / np.maximum(np.abs(hit.distance), 1e-300)
+        weight = np.minimum(1.0, far) / scatter**2
+        cells = np.unique(np.floor(moved / CELL), axis=0, return_inverse=True)[1].ravel()
+        weight /= np.bincount(cells)[cells]
+        jacobian = np.concatenate([hit.normal, np.cross(moved - offset[:3], hit.normal)], axis=1)
+        hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
+        gradient = jacobian.T @ (weight * hit.distance) + prior * offset
+        step = -np.linalg.solve(hessian, gradient)
+        offset = offset + step
+        if step @ hessian @ step < CONVERGED**2:
+            break
+    return offset, np.asarray(np.linalg.inv(hessian))

@@ -1,0 +1,125 @@
+"""The search for what the readings show beyond a learned response: each departure with a high score
+is estimated, and stays if it makes the readings more likely.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.arrays import Array
+from ..data.global_parameters import ELECTRONICS, PRIORS
+from ..posegraph.symmetric_blocks import SingularMatrixError
+from .departures import MIN_SCORE
+from .deviations import Deviations
+from .parametrization import Unknowns
+from .pressure import OBSERVED
+from .random_effects import RandomEffects
+
+MAX_SIGMAS = 4.0
+"""Prior standard deviations from which the estimate of a departure is not plausible: 6e-5 by
+chance."""
+MAX_SHARE = 0.8
+"""Largest share of a reading that hysteresis, creep or crosstalk have: others stand behind more."""
+LEAST_GAIN = 0.5
+"""Least increase of the log-likelihood by a departure, relative to what its score promises: 1.4 to
+5 where the readings have it, 0 to 0.1 where it stands in for another (studies/foreign_worlds.py
+--worlds hysteresis crosstalk; `sphere_noisy` with hysteresis, an indenter offset or scan_order)."""
+WIDE_FORCES = 0.2
+"""Deviation of ln F to start again from: that of 2 to 4 N recorded as constant, which compression
+and scale would go far to explain."""
+
+
+def with_departures(effects: RandomEffects) -> tuple[RandomEffects, dict[str, float]]:
+    """The estimate at its optimum, with what the readings show beyond the response, and the scores
+    of other departures, but for those that make the readings hardly more likely."""
+    begin, unlikely, failed = (effects.unknowns, effects.deviations), set[str](), set[str]()
+    if not effects.converge():
+        effects = min(effects, _from_wider_forces(effects, *begin), key=_objective)
+    while True:
+        found = _scores(effects)
+        left = {name: score for name, (score, _) in found.items() if name not in unlikely}
+        shown = [name for name in left if left[name] > MIN_SCORE and name not in failed]
+        if not shown:
+            return effects, left
+        # from the first start: variances that have absorbed the departure lead to another optimum
+        extended = _extended(effects, *begin, shown[0], found[shown[0]][1])
+        start = extended.unknowns, extended.deviations
+        try:
+            converged = extended.converge()
+        except SingularMatrixError:
+            converged = None
+        if converged is None or not plausible(extended, shown[0]):
+            failed.add(shown[0])
+            continue
+        # a small departure of this kind gains half its squared score; the drift's is a variance's
+        gain = LEAST_GAIN * left[shown[0]] ** 2 / 2 if shown[0] != "drift" else 0.0
+        if _objective(effects) - _objective(extended) > gain:
+            begin, effects = start, extended
+            failed.clear()
+        else:
+            unlikely.add(shown[0])
+        if not converged:  # a response of another kind; further departures would not mend it
+            return effects, {name: left[name] for name in left if name != shown[0]}
+
+
+def _from_wider_forces(effects: RandomEffects, u: Unknowns, d: Deviations) -> RandomEffects:
+    """The estimate from the unknowns u with WIDE_FORCES; `effects` where that is singular."""
+    d = replace(d, force=WIDE_FORCES)
+    wider = RandomEffects(effects.data, effects.readings, u, d, effects.pattern, effects.stage)
+    try:
+        wider.converge()
+    except SingularMatrixError:
+        return effects
+    return wider
+
+
+def plausible(extended: RandomEffects, name: str) -> bool:
+    """Whether the estimate of the departure `name` is within reach of its prior."""
+    parameters = extended.data.parameters
+    at = parameters.columns.get(name, slice(0, 0))
+    s, sigma = extended.unknowns.s[at], parameters.sigma[at]
+    small = name not in ELECTRONICS or bool(np.all(np.abs(s[:1]) <= MAX_SHARE))
+    return bool(small and np.all(np.abs(s) <= MAX_SIGMAS * sigma))
+
+
+def _scores(effects: RandomEffects) -> dict[str, tuple[float, Array]]:
+    """`FittedReadings.scores` of the departures that are not estimated."""
+    estimated = {*effects.data.parameters.names, *effects.data.parameters.nuisance_names}
+    found = effects.fitted().scores()
+    return {name: found[name] for name in found if name not in estimated}
+
+
+def _objective(effects: RandomEffects) -> float:
+    """Negative logarithm of the likelihood of the readings, up to a constant: by Laplace's method
+    over all unknowns, taxel positions with a constant prior density.
+
+    Source: Tierney and Kadane, "Accurate approximations for posterior moments and marginal
+    densities", Journal of the American Statistical Association 81 (1986). The last change of the
+    variances moves the optimum: the cost there is that here, less the decrease by a Newton step.
+    """
+    spread = effects.spread[effects.readings.kind == OBSERVED]
+    taxel, contact, shared = (np.log(p[p > 0]).sum() for p in effects.prior)
+    count = len(effects.unknowns.nuisance), len(effects.unknowns.errors)
+    system, _, decrease = effects.solution()
+    volume = system.log_determinant() - count[0] * taxel - count[1] * contact - shared
+    return effects.cost() - decrease + float(np.log(spread).sum() + volume / 2)
+
+
+def _extended(
+    effects: RandomEffects, u: Unknowns, deviations: Deviations, name: str, start: Array
+) -> RandomEffects:
+    """The estimate from the unknowns u and deviations with the departure `name`, too, whose global
+    parameters are `start`; none where every taxel has its own."""
+    p, sigma = effects.data.parameters, PRIORS[name]
+    if len(start):
+        p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, np.full(len(start), sigma)))
+        u = replace(u, s=np.append(u.s, start))
+    else:
+        peak = effects.data.nominal_peak
+        nuisance = (*p.nuisance_sigma, sigma * peak)
+        p = replace(p, nuisance_names=(*p.nuisance_names, name), nuisance_sigma=nuisance)
+        u = replace(u, nuisance=np.column_stack([u.nuisance, np.zeros(len(u.nuisance))]))
+    data = replace(effects.data, parameters=p)
+    return RandomEffects(data, effects.readings, u, deviations, effects.pattern, effects.stage)

@@ -1,0 +1,74 @@
+"""A jump of all contacts in the course of a recording, as of a body that was mounted anew.
+
+Taxels that are touched before and after it show it: others are displaced with their contacts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...core.arrays import Array
+from .departures import MIN_SCORE, FittedReadings, fitted_readings
+from .joint_estimator import JointEstimator
+from .parametrization import SurfaceParametrization
+
+PLACES = 15
+"""Places in a recording, evenly spaced, where a jump is looked for."""
+MIN_SHOWN = 0.02
+"""Information on a direction of a jump, relative to the best known one, from which it is estimated:
+that along the normals is near zero."""
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A displacement of all contacts from one on."""
+
+    score: float = 0.0
+    """In standard deviations."""
+    part: float = 0.0
+    """Part of the contacts before it."""
+    displacement: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,), m."""
+
+    @property
+    def shown(self) -> Array:
+        """The displacement (3,), m, where its score is above MIN_SCORE, else zero."""
+        return self.displacement if self.score > MIN_SCORE else np.zeros(3)
+
+    @property
+    def departure(self) -> dict[str, float]:
+        """Its score, by a name that says where it is."""
+        where = f"at {self.part:.0%} of the recording, as of a body mounted anew"
+        return {f"a jump of the contacts {where}": self.score}
+
+
+def largest_jump(fitted: FittedReadings) -> Jump:
+    """The most significant displacement of all contacts from one on."""
+    m, best = len(fitted.data.points), Jump()
+    moved = fitted.moved(np.broadcast_to(np.eye(3), (m, 3, 3)))
+    for begin in np.unique(np.linspace(0, m, PLACES + 2).astype(int)[1:-1]):
+        slope, information = fitted.shared((fitted.readings.contact >= begin)[:, None] * moved)
+        value, vectors = np.linalg.eigh(information)
+        seen = value > MIN_SHOWN * max(float(value[-1]), 1e-300)
+        along, value, vectors = (vectors.T @ slope)[seen], value[seen], vectors[:, seen]
+        score = float(np.sqrt(np.sum(along**2 / value)))
+        if score > best.score:
+            best = Jump(score, begin / m, vectors @ (along / value))
+    return best
+
+
+def jump_of(estimator: JointEstimator) -> Jump:
+    """The most significant displacement of all contacts from one on; with rigid modules none.
+
+    Beside a jump the readings before or after it are outlying: its size is that by all readings.
+    """
+    if not isinstance(estimator.problem.parametrization, SurfaceParametrization):
+        return Jump()
+    weight = estimator.likelihood.readings.weight
+    found = largest_jump(fitted_readings(estimator, weight))
+    if found.score <= MIN_SCORE:
+        return found
+    whole = largest_jump(fitted_readings(estimator, np.ones_like(weight)))
+    return replace(found, displacement=whole.displacement)

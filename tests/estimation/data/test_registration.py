@@ -1,0 +1,66 @@
+"""A declared body offset by the distances of the contact points from the surface."""
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core import se3
+from meshskin.estimation.data.registration import registered
+
+SHIFT, TURN = np.array([1e-3, -2e-3, 2e-3]), np.array([0.01, 0.02, -0.01])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return ms.Scene.load("ellipsoid")
+
+
+def points(scene):
+    rng = np.random.default_rng(0)
+    return scene.body.closest(rng.normal(scale=0.1, size=(400, 3))).point
+
+
+def test_the_offset_is_found_where_contacts_surround_the_body(scene):
+    belief = scene.belief(unknown=("modulus", "body_offset"))
+    at = points(scene)
+    found, moved = registered(belief, (at - SHIFT) @ se3.exp_so3(TURN))
+    np.testing.assert_allclose(moved, at, atol=2e-5)
+    np.testing.assert_allclose(found.contact_motion.mean, [*SHIFT, *TURN], atol=2e-4)
+    assert found.unknown == ("modulus",)
+    root = found.contact_motion.root
+    assert np.sqrt(np.diag(root @ root.T))[:3].max() < 2e-5
+
+
+def test_what_slides_along_the_body_keeps_its_prior():
+    belief = ms.Scene.load("sphere_noisy").belief(unknown=("body_offset",))
+    at = points(ms.Scene.load("sphere_noisy"))
+    found, moved = registered(belief, at + np.array([0.0, 0.0, 1e-3]))
+    np.testing.assert_allclose(found.contact_motion.mean[:3], [0.0, 0.0, -1e-3], atol=1e-5)
+    root = found.contact_motion.root
+    np.testing.assert_allclose(np.diag(root @ root.T)[3:], 0.05**2, rtol=0.01)
+    assert np.abs(belief.body.closest(moved).distance).max() < 1e-5
+
+
+def test_points_on_the_surface_do_not_tell(scene):
+    belief = scene.belief(unknown=("body_offset",))
+    assert registered(belief, points(scene))[0] is belief
+    assert registered(scene.belief(), points(scene) + SHIFT)[0].contact_motion is None
+
+
+def test_a_log_that_is_off_calibrates_where_it_is(noisy):
+    """On a sphere the centre is determined, the rotation is not: positions relative to it are."""
+    log = ms.press(noisy, noisy.skin.positions, seed=0)
+    body = ms.Body.sphere(0.1)
+    belief = noisy.belief(body=body, unknown=("modulus", "body_offset"))
+    wrong = ms.Recording(log.contacts, log.readings, {})
+    for name, value in zip(("px", "py", "pz"), SHIFT, strict=True):
+        index = wrong.contacts.column_names.index(name)
+        column = wrong.contacts.column(name).to_numpy() + value
+        table = wrong.contacts.set_column(index, name, [column])
+        wrong = ms.Recording(table, log.readings, {})
+    found = ms.calibrate(wrong, belief)
+    for axis, value in zip("xyz", SHIFT, strict=True):
+        stated = found.unknowns[f"body_offset {axis}"]
+        assert abs(stated[0] + value) < max(4 * stated[1], 0.05e-3)
+    error = np.linalg.norm(found.positions - noisy.skin.positions, axis=1)
+    assert np.nanmedian(error / found.position_sigma) < 3
