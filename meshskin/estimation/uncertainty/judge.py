@@ -297,6 +297,9 @@ def _radius(data: Measurements) -> float:
 
 
 def _faults(calibration: Calibration) -> list[Finding]:
+    if not np.isfinite(calibration.positions).all(axis=1).any():
+        undetermined = "; ".join(calibration.undetermined) or "see the reasons of the taxels"
+        return [(FAIL, f"no taxel is determined: {undetermined}")]
     if calibration.faults is None:
         return []
     touched = np.asarray(calibration.touched, dtype=bool)
