@@ -4,7 +4,8 @@
 
 FOLDER holds STL files, such as the meshes of the example-robot-data wheel (extra `robots`). Every
 mesh gets --skins skins of 60 taxels in caps of random directions; --only takes the paths that
-contain a word, --step 8 every eighth mesh, --from 3 from the third on. Rows are written as they
+contain a word, --step 8 every eighth mesh, --from 3 from the third on; --first-seed 4 draws
+other skins. Rows are written as they
 come; a repeated call skips those that --out holds, so that a study can be run in slices. A figure
 beside it (links.png) has the errors of the skins by verdict.
 --lane-mm 4 leaves taxels that one lane touches only, where two positions fit; with --unknown-noise
@@ -67,6 +68,7 @@ def main() -> int:
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, default=Path("links.jsonl"))
     parser.add_argument("--skins", type=int, default=1)
+    parser.add_argument("--first-seed", type=int, default=1)
     parser.add_argument("--only", default="")
     parser.add_argument("--step", type=int, default=1)
     parser.add_argument("--from", type=int, default=1, dest="first")
@@ -75,7 +77,8 @@ def main() -> int:
     options = parser.parse_args()
     chosen = Conditions(1e-3 * options.lane_mm, not options.unknown_noise)
     files = [file for file in meshes(options.folders) if options.only in str(file)]
-    rows = run(files[options.first - 1 :: options.step], options.skins, options.out, chosen)
+    seeds = range(options.first_seed, options.first_seed + options.skins)
+    rows = run(files[options.first - 1 :: options.step], seeds, options.out, chosen)
     print(summary(rows))
     theme.save(dots(errors(rows), "rms error of a skin (mm)"), options.out.parent, options.out.stem)
     return int(any(map(is_defect, rows)))
@@ -87,7 +90,7 @@ def is_defect(row: dict[str, Any]) -> bool:
 
 
 def run(
-    files: list[Path], skins: int, out: Path, conditions: Conditions = Conditions()
+    files: list[Path], seeds: range, out: Path, conditions: Conditions = Conditions()
 ) -> list[dict[str, Any]]:
     """The rows of all files and skins; those that `out` does not hold are appended to it."""
     known = out.read_text(encoding="utf-8").splitlines() if out.exists() else []
@@ -95,7 +98,7 @@ def run(
     rows = []
     with out.open("a", encoding="utf-8") as stream:
         for file in files:
-            for seed in range(1, skins + 1):
+            for seed in seeds:
                 if (found := done.get((str(file), seed))) is None:
                     found = row(file, seed, conditions)
                     stream.write(json.dumps(found) + "\n")

@@ -54,8 +54,8 @@ WIDTH, HEIGHT, ZOOM = 2.6, 4.0, 1.04
 """Size of a body's picture, inches, and how much of it the body fills."""
 LARGEST = 0.05
 """Error, mm, from which taxels have one colour: the largest is some tenths of a millimetre."""
-SKINS = 3
-"""Skins of every link mesh."""
+SEEDS = range(1, 4)
+"""Seeds of the skins of every link mesh."""
 
 
 def main() -> int:
@@ -77,7 +77,7 @@ def main() -> int:
     good = all(row["ratio"] <= BOUND for row in rows)
     if options.full:
         files = link_meshes.meshes([options.data]) + wheel_meshes()
-        links = link_meshes.run(files, SKINS, options.out / "link_meshes.jsonl")
+        links = link_meshes.run(files, SEEDS, options.out / "link_meshes.jsonl")
         print(link_meshes.summary(links))
         good &= not any(link_meshes.is_defect(row) for row in links)
     return 0 if good else 1

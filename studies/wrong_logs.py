@@ -71,6 +71,26 @@ def moved(outward: float = 0.0, aside: float = 0.0) -> Log:
     return lambda log: with_points(log, log.points + outward * log.normals + aside * x)
 
 
+def rescaled(factor: float) -> Log:
+    """Contact points scaled about their middle."""
+
+    def made(log: ms.Recording) -> ms.Recording:
+        middle = log.points.mean(axis=0)
+        return with_points(log, middle + factor * (log.points - middle))
+
+    return made
+
+
+def mounted_anew(aside: float) -> Log:
+    """Contact points of the second half moved along x, m."""
+
+    def made(log: ms.Recording) -> ms.Recording:
+        late = np.arange(len(log.points)) >= len(log.points) // 2
+        return with_points(log, log.points + np.outer(late, [aside, 0.0, 0.0]))
+
+    return made
+
+
 def late(frames: int) -> Log:
     """Readings some frames too late; those of the last contacts are lost."""
 
@@ -102,6 +122,8 @@ LOGS: dict[str, Log] = {
     "readings 3 frames late": late(3),
     "contact points 6 mm off the surface": moved(outward=6e-3),
     "contact points 1 mm aside": moved(aside=1e-3),
+    "contact points times 1.01": rescaled(1.01),
+    "body mounted anew, 0.5 mm aside": mounted_anew(0.5e-3),
     "all pressures equal": lambda log: with_pressures(log, np.full(len(log.pressure), 2e4)),
     "one reading at 38 times the largest": corrupt,
 }

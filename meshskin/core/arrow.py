@@ -41,9 +41,10 @@ def table(columns: Mapping[str, np.ndarray | pa.Array]) -> pa.Table:
 def values(column: pa.ChunkedArray) -> np.ndarray:
     """The values (n,) of a column, without a copy where it is one chunk of numbers."""
     numbers = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-    if not numbers or column.null_count or column.num_chunks != 1:
+    if not numbers or column.null_count or not column.num_chunks:
         return np.asarray(column.to_numpy())
-    return np.from_dlpack(column.chunk(0))
+    parts = [np.from_dlpack(chunk) for chunk in column.chunks]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def equals(column: pa.ChunkedArray, text: str) -> np.ndarray:

@@ -16,7 +16,7 @@ from ..core.arrays import Array
 from ..core.errors import ConfigError, ReachError
 from ..core.progress import Progress, Stage
 from ..core.value import Value
-from ..exploration.lane_plan import NOT_COVERED
+from ..exploration.left_out import SPARSE
 from ..exploration.plan import plan_exploration
 from ..recording.recording import Recording
 from ..scene.scene import Scene
@@ -215,7 +215,7 @@ def lane_contacts(scene: Scene, spacing: float) -> tuple[Array, Mapping[int, str
     step = spacing * scene.rig.sensing_radius
     lanes = replace(scene.exploration, pattern="lanes", lane_spacing=step, contacts=None)
     plan = plan_exploration(scene.with_(exploration=lanes))
-    unreachable = {k: why for k, why in plan.unreachable.items() if why != NOT_COVERED}
+    unreachable = {k: why for k, why in plan.unreachable.items() if not why.startswith(SPARSE)}
     if plan.contacts is not None:
         return plan.path.points, unreachable
     parts = []

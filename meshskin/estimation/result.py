@@ -73,6 +73,8 @@ class LearnedResponse(Value):
     (joint/electronics.py); zeros where the readings show none."""
     crosstalk: float = 0.0
     """Share of each neighbour's pressure in a reading."""
+    leaking: float = 1.0
+    """Part of the pairs of neighbours that have crosstalk: less within modules only."""
     drift: float = 0.0
     """Standard deviation over the taxels of the change of their offsets during the recording."""
     creep: tuple[float, float] = (0.0, 0.0)
@@ -106,6 +108,7 @@ class LearnedResponse(Value):
             "hysteresis_share": self.hysteresis[0],
             "hysteresis_width": self.hysteresis[1],
             "crosstalk": self.crosstalk,
+            "leaking": self.leaking,
             "drift": self.drift,
             "creep_share": self.creep[0],
             "creep_time_s": self.creep[1],
@@ -137,7 +140,9 @@ class LearnedResponse(Value):
                 f"{width:.2g} % of the nominal peak"
             )
         if self.crosstalk:
-            shown.append(f"crosstalk: {100 * self.crosstalk:.2g} % of each neighbour's pressure")
+            pairs = "" if self.leaking == 1 else f", in {100 * self.leaking:.2g} % of the pairs"
+            words = f"{100 * self.crosstalk:.2g} % of each neighbour's pressure{pairs}"
+            shown.append(f"crosstalk: {words}")
         if self.drift:
             shown.append(
                 f"offsets drift by {self.drift:.2g} {self.unit_name} during the recording (1 sigma)"

@@ -22,20 +22,14 @@ from ..robot import collision, posture
 from ..robot.contact_rig import ContactRig
 from ..robot.turntable import with_swivel
 from ..scene.scene import Scene
-from .lane_plan import (
-    NOT_COVERED,
-    STEP,
-    other_radius,
-    posture_reasons,
-    region_radius,
-    taxels_left_out,
-)
+from .lane_plan import STEP, posture_reasons, region_radius
 from .lanes import cover, spacing_for
+from .left_out import NOT_COVERED, SPARSE, other_contact, taxels_left_out
 from .path import Path, Plan
 from .point_contacts import nearest_neighbour_order
 
 CONTACTS = 8
-"""Contacts per taxel that leave none of them with fewer than lane_plan.ENOUGH: on the paper's
+"""Contacts per taxel that leave none of them with fewer than left_out.ENOUGH: on the paper's
 sphere all have five or more; with six contacts some have fewer."""
 
 
@@ -59,7 +53,7 @@ def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
     path, reason[pressed] = _path(scene, rig, hit.take(pressed))
     blocked, segments = [(hit.point, reason)], [path] if len(path.points) else []
     left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
-    other = other_radius(scene, left_out)
+    other = other_contact(scene, left_out)
     if not segments:
         reasons = Counter(left_out.values()).most_common(1)
         raise ReachError(
@@ -74,7 +68,7 @@ def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
 
 def _sparse(left_out: dict[int, str], spacing: float) -> str:
     """How to press taxels that too few contacts are near to, at a spacing, m; "" without any."""
-    count = sum(why == NOT_COVERED for why in left_out.values())
+    count = sum(why in SPARSE for why in left_out.values())
     if not count:
         return ""
     return (

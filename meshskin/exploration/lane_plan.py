@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..contact.reading import same_sheet
 from ..core.arrays import Array, Index, ranges, runs
 from ..core.errors import ReachError
 from ..core.progress import Progress, Stage
@@ -21,9 +20,8 @@ from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
 from ..scene.settings import Exploration
-from ..skin.skin import Skin
-from . import reach
 from .lanes import cover, spacing_for
+from .left_out import NOT_COVERED, SPARSE, Blocked, other_contact, taxels_left_out, too_wide
 from .path import Path, Plan
 from .timing import arm_path, free_path
 from .tour import ContactPath, contact_paths
@@ -32,18 +30,6 @@ STEP = 3e-3
 """Largest distance of samples along a lane, m: about half the distance of neighbouring taxels."""
 SHORT = 3
 """Fewest samples of a lane that are worth a segment: a spline needs as many."""
-ENOUGH = 4
-"""Fewest contacts near a taxel for it to count as covered: one more than trilateration needs."""
-NEAR, ASIDE = 0.9, 0.15
-"""How near a taxel contacts count for it, and how far they must spread off a line for it to be
-covered, both relative to the sensing radius."""
-
-MANY = 0.1
-"""Part of the taxels that are left out because the indenter is refused near them, from which the
-plan recommends another radius."""
-REFUSED = collision.HOLLOW, collision.EDGE, collision.SUPPORT, "does not hold"
-"""Reasons, or parts of them, that another indenter may not have."""
-
 NODE_STEP, NODE_TURN = 6e-3, 0.1
 """Largest distance, m, and turn of the normal, rad, between samples at which postures are sought.
 The arm is followed over the samples between them."""
@@ -53,10 +39,6 @@ NEIGHBOURS = 2 * NODE_STEP
 OUT_OF_REACH = "out of the arm's reach"
 LIMIT = "joint limit"
 WINDING = "joint limit: a joint winds up"
-NOT_COVERED = "no contact passes near it"
-
-Blocked = tuple[Array, Array]
-"""Points (k, 3), body frame, and the reason (k,) why each cannot be touched, "" where it can."""
 
 
 def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -> Plan:
@@ -86,30 +68,21 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
         blocked += unreached
     stage.step()
     left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
-    other = other_radius(scene, left_out)
+    wide = too_wide(spacing, rig.sensing_radius)
+    left_out = {k: why + wide if why in SPARSE else why for k, why in left_out.items()}
+    other = other_contact(scene, left_out)
     if not segments:
-        reasons = Counter(left_out.values()).most_common(1)
+        why = (Counter(left_out.values()).most_common(1) or [(NOT_COVERED + wide, 0)])[0][0]
         raise ReachError(
-            f"nothing of the skin can be explored: {reasons[0][0] if reasons else NOT_COVERED}",
+            f"nothing of the skin can be explored: {why}",
             value=f"{len(sites)} taxels, the indenter at "
             f"{tuple(round(float(x), 3) for x in rig.indenter.position)} m",
-            remedy=other or "move indenter.position_m, or change the mount",
+            remedy=other or ("" if wide else "move indenter.position_m, or change the mount"),
         )
     notes = collision.arm_capsules(rig.arm).notes if rig.arm else ()
     notes += rig.allowed_collisions.notes if rig.allowed_collisions else ()
     notes += (other,) if other else ()
     return Plan(replace(Path.concatenate(segments), unreachable=left_out), spacing, notes)
-
-
-def other_radius(scene: Scene, left_out: dict[int, str]) -> str:
-    """The indenter that is recommended where this one is refused near many taxels; "" elsewhere."""
-    refused = sum(any(why in one for why in REFUSED) for one in left_out.values())
-    if refused < MANY * len(scene.skin):
-        return ""
-    found = reach.other_radii(scene)
-    if reach.recommended(found) is found[0]:
-        return ""
-    return f"use another indenter: {reach.recommendation(found)}, of the taxels, but for the arm"
 
 
 def _feasible(rig: ContactRig, lanes: list[Closest]) -> tuple[list[Closest], list[Blocked]]:
@@ -303,40 +276,4 @@ def _collisions(rig: ContactRig, nodes: posture.Nodes) -> Array:
         out[within] = collision.arm_reasons(
             arm, rig.body, q, poses, rig.indenter, rig.allowed_collisions
         )
-    return out
-
-
-def taxels_left_out(
-    skin: Skin, radius: float, segments: list[Path], blocked: list[Blocked]
-) -> dict[int, str]:
-    """The reason for each taxel, by id, that the segments do not cover on its own sheet of skin.
-
-    It is the most frequent reason among the blocked points around the taxel.
-    """
-    from scipy.spatial import cKDTree
-
-    sites = skin.positions
-    covered = np.zeros(len(sites), dtype=bool)
-    if segments:
-        points = np.concatenate([s.points for s in segments])
-        pitch = max(float(np.linalg.norm(np.diff(points, axis=0), axis=1).mean()), 1e-9)
-        rows = slice(None, None, max(int(0.1 * radius / pitch), 1))
-        points, normals = points[rows], np.concatenate([s.normals for s in segments])[rows]
-        for k, around in enumerate(cKDTree(points).query_ball_point(sites, NEAR * radius)):
-            facing = np.broadcast_to(skin.normals[k], (len(around), 3))
-            near = np.array(around, dtype=int)
-            near = near[same_sheet(sites[k] - points[near], normals[near], facing)]
-            if len(near) >= ENOUGH:
-                offset = points[near] - points[near].mean(axis=0)
-                spread = np.linalg.svd(offset, compute_uv=False) / np.sqrt(len(near))
-                covered[k] = spread[1] > ASIDE * radius
-    points = np.concatenate([np.zeros((0, 3)), *(points for points, _ in blocked)])
-    reasons = np.concatenate([np.zeros(0, dtype=object), *(reason for _, reason in blocked)])
-    points, reasons = points[reasons != ""], reasons[reasons != ""]
-    tree = cKDTree(points) if len(points) else None
-    out: dict[int, str] = {}
-    for row in np.flatnonzero(~covered):
-        around = tree.query_ball_point(sites[row], 1.5 * radius) if tree is not None else []
-        counts = Counter(reasons[around]) if around else {}
-        out[int(skin.ids[row])] = Counter(counts).most_common(1)[0][0] if counts else NOT_COVERED
     return out

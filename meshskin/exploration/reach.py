@@ -121,26 +121,30 @@ def reach(
     return tuple(found)
 
 
-def contact_reasons(scene: Scene, radius: float) -> tuple[float, Array]:
+def contact_reasons(scene: Scene, radius: float, force: float | None = None) -> tuple[float, Array]:
     """The force, N, of an indenter of `radius`, m, and the reason (n,) at each taxel of a scene why
     no contact is possible, "" where one is: as in a plan, but for the arm.
+
+    force, N: the scene's if None; less where its patch would be too wide on a plane.
     """
-    force = possible_force(radius, scene.law.force_reference, scene.material)
+    wanted = scene.law.force_reference if force is None else force
+    used = possible_force(radius, wanted, scene.material)
     other = scene.with_(
         indenter=replace(scene.indenter, radius=radius),
-        law=replace(scene.law, force_reference=force),
+        law=replace(scene.law, force_reference=used),
     )
     try:
-        return force, other.rig.contact_reasons(scene.skin.positions, scene.skin.normals)
+        return used, other.rig.contact_reasons(scene.skin.positions, scene.skin.normals)
     except ContactError:
-        return force, np.full(len(scene.skin), TOO_WIDE, dtype=object)
+        return used, np.full(len(scene.skin), TOO_WIDE, dtype=object)
 
 
-def other_radii(scene: Scene) -> tuple[Reach, ...]:
-    """What the scene's indenter, and those of half and a quarter of its radius, reach of the taxels
-    of a scene."""
-    radii = scene.indenter.radius / np.array([1.0, 2.0, 4.0])
-    return tuple(Reach.of(float(r), *contact_reasons(scene, float(r))) for r in radii)
+def other_contacts(scene: Scene) -> tuple[Reach, ...]:
+    """What the scene's contact, those with a half and a quarter of its force, and indenters of a
+    half and a quarter of its radius, reach of the taxels of a scene."""
+    radius, force = scene.indenter.radius, scene.law.force_reference
+    pairs = [(radius, force / k) for k in (1, 2, 4)] + [(radius / k, force) for k in (2, 4)]
+    return tuple(Reach.of(r, *contact_reasons(scene, r, f)) for r, f in pairs)
 
 
 def possible_force(radius: float, force: float, material: Material) -> float:
@@ -150,12 +154,17 @@ def possible_force(radius: float, force: float, material: Material) -> float:
 
 
 def recommended(found: Sequence[Reach]) -> Reach:
-    """The largest indenter that reaches nearly as much as the best one: NEARLY.
+    """The largest indenter that reaches nearly as much as the best one: NEARLY; of equal ones that
+    with the largest force.
 
     A larger one has a wider patch, which presses more taxels at once.
     """
     best = max(one.share for one in found)
-    return max((one for one in found if one.share >= NEARLY * best), key=lambda one: one.radius)
+    return max((one for one in found if one.share >= NEARLY * best), key=_size)
+
+
+def _size(one: Reach) -> tuple[float, float]:
+    return one.radius, one.force
 
 
 def recommendation(found: Sequence[Reach]) -> str:
@@ -167,7 +176,11 @@ def recommendation(found: Sequence[Reach]) -> str:
     others = [one for one in found if one is not best]
     if not others:
         return text
-    other = max(others, key=lambda one: one.radius)
+    other = max(others, key=_size)
+    if other.radius == best.radius:
+        return (
+            f"{text} with {best.force:.2g} N instead of {other.share:.0%} with {other.force:.2g} N"
+        )
     return f"{text} instead of {other.share:.0%} with {1e3 * other.radius:g} mm"
 
 

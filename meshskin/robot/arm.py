@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
 from ..core.errors import ArmError
+from ..core.row_function import RowFunction
 from ..core.se3 import inverse
 from ..core.value import Value
 from . import inverse_kinematics as ik
@@ -276,24 +277,19 @@ class Arm(Value):
 
     def pose(self, q: ArrayLike) -> Array:
         """T_w_tip (..., 4, 4) at joint angles (..., n). Raises ArmError for a wrong shape."""
-        return self._evaluate(0, q)
+        return _evaluate(self, self._pose, 4, q)
 
     def jacobian(self, q: ArrayLike) -> Array:
         """Jacobians (..., 6, n) at joint angles (..., n). Raises ArmError for a wrong shape."""
-        return self._evaluate(1, q)
-
-    def _evaluate(self, output: int, q: ArrayLike) -> Array:
-        """Output (..., a, b) of the kinematics at joint angles (..., n)."""
-        q = ik.check_shape("q", q, (len(self.joint_names),), batch=None)
-        f = self._kinematics_function
-        a, b = f.size_out(output)
-        flat = f(q.reshape(-1, f.size1_in(0)).T)[output].full()  # (a, k b)
-        stacked = flat.reshape(a, -1, b).swapaxes(0, 1)
-        return np.ascontiguousarray(stacked).reshape(*q.shape[:-1], a, b)
+        return _evaluate(self, self._jacobian, 6, q)
 
     @cached_property
-    def _kinematics_function(self) -> ca.Function:
-        return _kinematics(self)
+    def _pose(self) -> RowFunction:
+        return _pose(self)
+
+    @cached_property
+    def _jacobian(self) -> RowFunction:
+        return _jacobian(self)
 
     def inverse_kinematics(self, poses: ArrayLike, seed: ArrayLike) -> Array:
         """Joint angles (k, n) whose tip follows `poses` T_w_tip (k, 4, 4), in order.
@@ -320,8 +316,21 @@ class Arm(Value):
         return ik.newton(self)
 
 
+def _evaluate(arm: Arm, function: RowFunction, height: int, q: ArrayLike) -> Array:
+    """Matrices (..., height, m) of a function at joint angles (..., n) of an arm."""
+    q = ik.check_shape("q", q, (len(arm.joint_names),), batch=None)
+    flat = function(q.reshape(-1, q.shape[-1]))
+    columns = flat.reshape(*q.shape[:-1], -1, height)
+    return np.ascontiguousarray(columns.swapaxes(-1, -2))
+
+
 @cached_by_content
-def _kinematics(arm: Arm) -> ca.Function:
-    """Joint angles (n,) -> T_w_tip (4, 4), Jacobian (6, n)."""
+def _pose(arm: Arm) -> RowFunction:
     q = ca.SX.sym("q", len(arm.joint_names))
-    return ca.Function("kinematics", [q], arm.kinematics(q), {"cse": True})
+    return RowFunction.compiled("pose", q, arm.kinematics(q)[0])
+
+
+@cached_by_content
+def _jacobian(arm: Arm) -> RowFunction:
+    q = ca.SX.sym("q", len(arm.joint_names))
+    return RowFunction.compiled("jacobian", q, arm.kinematics(q)[1])

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from ..contact.indenter import Indenter
 from ..core.arrays import Array, ranges
+from ..core.row_function import RowFunction
 from ..geometry.body import Body
 from ..geometry.surface.distance_grid import DistanceGrid
 from ..geometry.surface.surface import Surface
@@ -154,7 +155,7 @@ class ArmCapsules:
     """Link of each capsule (l,); a link may have several."""
     radii: Array
     """(l,), m."""
-    ends: ca.Function
+    ends: RowFunction
     """q (n,) -> (3, 2 l + 1): ends of the capsules' axes, and the arm's tip, world frame, m."""
     notes: tuple[str, ...] = ()
     """Links whose shape could not be read, and the reason."""
@@ -162,13 +163,13 @@ class ArmCapsules:
     @functools.cached_property
     def spheres(self) -> tuple[NDArray[np.intp], Array]:
         """Number of spheres (l,) that cover each capsule, and their radii (l,), m."""
-        ends = self.at(np.zeros((1, self.ends.size1_in(0))))[0]
+        ends = self.at(np.zeros((1, self.ends.function.size1_in(0))))[0]
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         return link_shapes.covering_spheres(lengths, self.radii)
 
     def points(self, q: Array) -> Array:
         """The columns of `ends` (k, 2 l + 1, 3) in postures (k, n), world frame, m."""
-        return np.asarray(self.ends(q.T).full().T.reshape(len(q), -1, 3))
+        return self.ends(q).reshape(len(q), -1, 3)
 
     def at(self, q: Array) -> Array:
         """Ends (k, l, 2, 3) of the capsules in postures (k, n), world frame, m."""
@@ -196,8 +197,7 @@ def arm_capsules(arm: Arm) -> ArmCapsules:
             ends += [pose[:3, :3] @ end + pose[:3, 3] for end in (capsule.start, capsule.end)]
             names.append(joint.parent)
             radii.append(capsule.radius)
-    every = ca.densify(ca.horzcat(*ends, poses[-1][:3, 3]))
-    function = ca.Function("links", [q], [every], {"cse": True})
+    function = RowFunction.compiled("links", q, ca.horzcat(*ends, poses[-1][:3, 3]))
     return ArmCapsules(tuple(names), np.array(radii), function, tuple(notes))
 
 

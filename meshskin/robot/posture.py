@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from .arm import Arm
 from .inverse_kinematics import TOLERANCE, pose_rows, unwrapped
+from .whole_turns import endless_joints, with_whole_turns
 
 SPINS = 24
 """Spins about the normal that are tried at every sample: every 15 degrees, within the largest step
@@ -140,7 +141,7 @@ def solve_nodes(
         if len(here):
             moved = _follow(arm, q[there].reshape(-1, MAX_POSTURES, n), rows[here].reshape(-1, 12))
             q[here] = moved.reshape(-1, s, MAX_POSTURES, n)
-    return Nodes.of(arm, _with_whole_turns(arm, q))
+    return Nodes.of(arm, with_whole_turns(arm, q))
 
 
 def solve_spins(
@@ -220,24 +221,6 @@ def _distinct(arm: Arm, q: Array) -> Array:
     return distinct
 
 
-def endless_joints(arm: Arm) -> NDArray[np.bool_]:
-    """The joints (n,) with a range of two turns or more: whole turns are equivalent for them."""
-    return np.asarray(arm.upper - arm.lower > 4 * math.pi - 0.1)
-
-
-def _with_whole_turns(arm: Arm, q: Array) -> Array:
-    """`q` (m, s, b, n) with the postures that a whole turn of one joint gives within its limits."""
-    for j in np.flatnonzero((arm.upper - arm.lower > 2 * math.pi) & ~endless_joints(arm)):
-        for turn in (-2 * math.pi, 2 * math.pi):
-            other = q.copy()
-            other[..., j] += turn
-            out = (other[..., j] < arm.lower[j]) | (other[..., j] > arm.upper[j])
-            other[out] = np.nan
-            keep = np.isfinite(other[..., 0]).any(axis=(0, 1))
-            q = np.concatenate([q, other[:, :, keep]], axis=2)
-    return q
-
-
 @dataclass(frozen=True)
 class Chain:
     """The cheapest chain of postures over m samples."""
@@ -301,8 +284,8 @@ def _move_cost(here: Array, there: Array, endless: NDArray[np.bool_]) -> Array:
     # joint by joint in memory, so that sums over the joints run along the pairs
     here, there = (np.ascontiguousarray(np.moveaxis(x, -1, 0)) for x in (here, there))
     move = np.abs(here[:, :, :, None] - there[:, :, None, :])
-    around = move[endless] % (2 * math.pi)
-    move[endless] = np.minimum(around, 2 * math.pi - around)
+    turns = np.rint(move[endless] / (2 * math.pi))
+    move[endless] = np.abs(move[endless] - 2 * math.pi * turns)
     node_cost = MOVE_COST * np.square(move).sum(axis=0)
     return np.where(move.max(axis=0) <= MAX_STEP, node_cost, np.inf)
 

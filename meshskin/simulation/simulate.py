@@ -63,9 +63,10 @@ def simulate(
     instead of holding it in memory. progress(stage, done, total) is called during the run. chain:
     the effects of an earlier run, to continue instead of new ones of the seed. A carried indenter
     is pressed once at each contact of the plan, at rest at the reference force. Warns where the
-    contact force leaves its reference after settling (`response.describe_departure`), and where
-    taxels are not reached (LeftOutWarning). Raises ReachError if the arm cannot follow the path,
-    SimulationError if the loop fails, ConfigError for a scene whose budget has not been resolved.
+    contact force leaves its reference after settling (`response.describe_departure`), where parts
+    of the path are given up, and where taxels are not reached (LeftOutWarning). Raises ReachError
+    if the arm cannot follow the path, SimulationError if the loop fails, ConfigError for a scene
+    whose budget has not been resolved.
 
     >>> scene = ms.Scene.load("sphere_noisy")
     >>> recording = ms.simulate(scene, seed=1)
@@ -101,6 +102,11 @@ def simulate(
     assert recording.motion is not None
     if words := describe_departure(recording.motion):
         warnings.warn(words, stacklevel=2)
+    if given_up := recording.metadata["given_up"]:
+        count = (
+            f"{len(given_up)} parts of the path were" if given_up[1:] else "1 part of the path was"
+        )
+        warnings.warn(f"{count} given up: {given_up[0]}", stacklevel=2)
     warn_left_out("reached", recording.metadata["unreachable"].values(), len(scene.skin))
     return recording
 

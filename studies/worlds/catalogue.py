@@ -87,6 +87,8 @@ def catalogue() -> dict[str, World]:
         "counts": World(hertz, counts, scatter=0.3e-3, nominal_force=True),
         "drift": World(hertz, Electronics(drift=0.05)),
         "crosstalk": World(hertz, Electronics(crosstalk=0.05)),
+        "crosstalk_modules": World(hertz, Electronics(crosstalk=0.05, module=12)),
+        "crosstalk_faint": World(hertz, Electronics(crosstalk=0.02, module=12)),
         "creep_03": World(hertz, Electronics(creep=0.25, creep_time=0.3), **PRESSES),
         "creep_30": World(hertz, Electronics(creep=0.25, creep_time=3.0), **PRESSES),
         "creep_stops": World(hertz, Electronics(creep=0.25), dwell=(0.1, 1.5)),

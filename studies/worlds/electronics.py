@@ -34,7 +34,7 @@ class Electronics:
     crosstalk: float = 0.0
     """Part of the pressure of each neighbour that a taxel reads."""
     module: int = 0
-    """Taxels of consecutive numbers that share a module, the only ones to crosstalk; 0: all."""
+    """Taxels, about, that share a module, the only ones to crosstalk; 0: all."""
     creep: float = 0.0
     """Relative rise of the reading under a pressure that is held for ever."""
     creep_time: float = 1.0
@@ -96,7 +96,7 @@ class Sensors:
         if e.crosstalk:
             beside = (near > 0) & (near < NEIGHBOUR * near[near > 0].min())
             if e.module:
-                module = np.arange(self.count) // e.module
+                module = modules(near, self.count // e.module)
                 beside &= module[:, None] == module
             pressure = pressure + e.crosstalk * pressure @ beside
         if e.creep:
@@ -119,6 +119,14 @@ class Sensors:
             return value, e.threshold * unit
         counts = np.clip(np.round(FULL_SCALE * value / unit), 0, 255)
         return counts, float(round(e.threshold * FULL_SCALE))
+
+
+def modules(near: Array, count: int) -> Array:
+    """Modules (n,) of taxels at distances (n, n): around `count` taxels far from each other."""
+    centres = [0]
+    for _ in range(count - 1):
+        centres.append(int(np.argmax(near[:, centres].min(axis=1))))
+    return np.asarray(np.argmin(near[:, centres], axis=1))
 
 
 def play(signal: Array, width: float) -> Array:

@@ -10,9 +10,10 @@ from scipy.spatial import cKDTree
 import meshskin as ms
 from meshskin.core.errors import ReachError, UnknownNameError
 from meshskin.core.se3 import inverse
-from meshskin.exploration.lane_plan import LIMIT, NOT_COVERED, OUT_OF_REACH, taxels_left_out
+from meshskin.exploration.lane_plan import LIMIT, OUT_OF_REACH
+from meshskin.exploration.left_out import NOT_COVERED, ONE_LINE, taxels_left_out
 from meshskin.exploration.parallels import is_cap
-from meshskin.exploration.path import Path
+from meshskin.exploration.path import ROWS, Path
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap, HalfSpace
 from meshskin.robot import collision
@@ -176,6 +177,24 @@ def test_contacts_on_the_far_face_of_a_plate_do_not_cover_a_taxel():
     poses[1, :3, :3] = np.diag([1.0, -1.0, -1.0])
     left_out = taxels_left_out(ms.Skin(poses, np.array([0, 1])), 5e-3, [path], [])
     assert left_out == {1: NOT_COVERED}
+    line = replace(path, **{name: getattr(path, name)[:9] for name in ROWS})
+    skin = ms.Skin(poses[:1], np.array([0]))
+    assert taxels_left_out(skin, 8e-3, [line], []) == {0: ONE_LINE}
+
+
+def test_lanes_too_far_apart_are_named_with_the_remedy(sphere):
+    scene = sphere.with_(
+        loop=replace(sphere.loop, mode="quasi_static"),
+        exploration=replace(sphere.exploration, pattern="lanes", lane_spacing=0.02),
+    )
+    felt = scene.rig.sensing_radius
+    left_out = plan_exploration(scene).path.unreachable
+    assert len(left_out) > 20
+    for why in left_out.values():
+        assert "lanes are 20 mm apart, contacts felt within" in why
+    closer = replace(scene.exploration, lane_spacing=0.75 * felt)
+    assert why.endswith(f"bring lanes to {750 * felt:.2g} mm")
+    assert not plan_exploration(scene.with_(exploration=closer)).path.unreachable
 
 
 def test_no_slide_leads_through_a_thin_plate():

@@ -8,7 +8,9 @@ import meshskin as ms
 from meshskin.core.errors import ConfigError, ReachError
 from meshskin.core.se3 import orthonormal_basis, transform
 from meshskin.exploration import reach as module
+from meshskin.exploration.left_out import other_contact
 from meshskin.geometry.mesh.triangles import Triangles
+from meshskin.geometry.region import Cap
 from meshskin.robot.collision import EDGE, HOLLOW
 
 from ..real_data import DATA, needs_icub
@@ -92,6 +94,9 @@ def test_the_recommended_indenter_is_the_largest_that_reaches_nearly_all():
     found = [module.Reach(r, 1.0, share) for r, share in ((2e-3, 0.5), (4e-3, 0.47), (8e-3, 0.04))]
     assert module.recommended(found).radius == 4e-3
     assert module.recommendation(found) == "4 mm reaches 47% instead of 4% with 8 mm"
+    lighter = [module.Reach(8e-3, force, share) for force, share in ((3.0, 0.6), (1.5, 0.8))]
+    lighter.append(module.Reach(4e-3, 3.0, 0.85))
+    assert module.recommendation(lighter) == "8 mm reaches 80% with 1.5 N instead of 60% with 3 N"
     assert module.recommendation(found[:1]) == "2 mm reaches 50%"
     assert module.recommendation([module.Reach(2e-3, 1.0, 0.0)]) == "none reaches anything"
 
@@ -110,6 +115,29 @@ def test_a_plan_recommends_an_indenter_that_fits():
     with pytest.raises(ReachError, match="8 mm reaches 100% instead of 0% with 16 mm"):
         ms.explore(body, near, indenter=ms.Indenter.sphere(16e-3), **options)
     assert not ms.explore(body, skin, indenter=ms.Indenter.sphere(8e-3), **options).notes
+
+
+def test_a_plan_recommends_a_lighter_force_in_a_shallow_bowl():
+    """In a bowl of 20 mm the patch of 3 N is too wide for contact models (a/R = 0.60, limit 0.52),
+    that of 1.5 N is not (0.48)."""
+    ball = trimesh.creation.icosphere(4, 20e-3)
+    faces = ball.faces[(ball.triangles_center[:, 2] < -14e-3)][:, ::-1]
+    bowl = ms.Body.from_mesh(trimesh.Trimesh(ball.vertices, faces), open=True)
+    skin = ms.Skin.cover(bowl, spacing=5e-3, count=3, region=Cap(direction=(0.0, 0.0, -1.0)))
+    scene = ms.Scene(
+        body=bowl,
+        skin=skin,
+        indenter=ms.Indenter.sphere(8e-3),
+        material=ms.Material(young=0.4e6),
+        loop=ms.Loop(mode="quasi_static"),
+    )
+    found = module.other_contacts(scene)
+    assert found[0].share == 0.0
+    assert [one.force for one in found[:3]] == [3.0, 1.5, 0.75]
+    assert module.recommended(found) is found[1]
+    left_out = dict.fromkeys(range(3), "elliptic contact does not hold")
+    assert other_contact(scene, left_out).startswith("use a lighter force: 8 mm reaches")
+    assert other_contact(scene, {}) == ""
 
 
 @pytest.mark.parametrize(("radii", "word"), [((), "no radius"), ((4e-3, 0.0), "radius of an")])

@@ -9,6 +9,7 @@ import pytest
 import meshskin as ms
 from meshskin.core.errors import SimulationError
 from meshskin.core.se3 import exp_so3, poses_of_states, transform
+from meshskin.exploration.path import ROWS, Path
 from meshskin.geometry.region import Cap
 from meshskin.scene.settings import Exploration, Law
 from meshskin.simulation import state_machine, transfer
@@ -88,6 +89,20 @@ def test_a_place_that_the_body_cannot_come_to_is_given_up(prepared, sphere, trac
     steps = [s for s in explorer.run() if s.phase == state_machine.SLIDE]
     assert (explorer.skips, sum(len(s.time) for s in steps)) == (1, 600)
     assert np.linalg.norm(steps[-1].outputs[-1, :3] - path.points[1799]) < 1e-3
+
+
+def test_parts_that_are_given_up_are_said(prepared, sphere):
+    path = prepared("quasi_static")[1]
+    parts = [
+        replace(path, **{name: getattr(path, name)[rows] for name in ROWS}, breaks=())
+        for rows in (slice(0, 300), slice(1000, 1200), slice(1500, 1800))
+    ]
+    within = parts[1].poses.copy()
+    within[:, 2, 3] -= 0.05
+    parts[1] = replace(parts[1], poses=within)
+    scene = sphere.with_(loop=replace(sphere.loop, mode="quasi_static"))
+    with pytest.warns(UserWarning, match="1 part of the path was given up: the body meets"):
+        ms.simulate(scene, seed=1, path=Path.concatenate(parts))
 
 
 def test_a_ring_turns_about_the_indenter_clear_of_it(arm):

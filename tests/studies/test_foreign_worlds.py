@@ -214,6 +214,8 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
     [
         ("hysteresis", {"hysteresis": (0.5, 0.2)}, 0.05e-3),
         ("crosstalk", {"crosstalk": 0.05}, 0.04e-3),
+        ("crosstalk_modules", {"crosstalk": 0.05}, 0.04e-3),
+        pytest.param("crosstalk_faint", {"crosstalk": 0.02}, 0.05e-3, marks=pytest.mark.slow),
         ("drift", {"drift": 0.05}, 0.05e-3),
         ("creep_30", {"creep": (0.2, 3.0)}, 0.04e-3),
         pytest.param("creep_stops", {"creep": (0.2, 1.0)}, 0.04e-3, marks=pytest.mark.slow),

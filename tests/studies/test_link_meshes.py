@@ -34,7 +34,7 @@ def test_meshes_are_calibrated_or_refused(study, monkeypatch, tmp_path, capsys):
 def test_a_crash_is_told_and_counted(study, monkeypatch, tmp_path):
     trimesh.creation.icosphere(subdivisions=4, radius=80.0).export(tmp_path / "ball.stl")
     monkeypatch.setattr(study, "plan_exploration", lambda scene: 1 / 0)
-    rows = study.run([tmp_path / "ball.stl"], 1, tmp_path / "links.jsonl")
+    rows = study.run([tmp_path / "ball.stl"], range(1, 2), tmp_path / "links.jsonl")
     assert "ZeroDivisionError" in rows[0]["crash"]
     assert study.is_defect(rows[0])
     assert "crash: 1 skins, 0 taxels" in study.summary(rows)

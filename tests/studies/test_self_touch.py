@@ -10,12 +10,14 @@ from ..real_data import DATA, needs_nao
 def test_the_published_protocol_on_nao(script, tmp_path, capsys):
     """Published: 14.25 mm train, 15.73 mm test, on one split, with mounts free alone."""
     study = script("self_touch")
-    study.CASES = study.CASES[:3]
+    study.CASES = study.CASES[:4]
     asked = ["--data", str(DATA), "--splits", "3", "--pairs", "leftArm_torso"]
     found = study.main([*asked, "--out", str(tmp_path)])
-    selected, mounts, patches = found["leftArm_torso"]
+    selected, nearest, mounts, patches = found["leftArm_torso"]
     assert selected["train"] < 14.3
     assert selected["test"] < 15.7
+    assert nearest["before"] == pytest.approx(18.2, abs=0.1)
+    assert nearest["test"] < 14.0
     assert mounts["size"] == pytest.approx((1.0, 1.0))
     assert mounts["test"] < 10.0
     assert patches["train"] < mounts["train"]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ...geometry.body import Body
     from ...geometry.surface.closest_point import Closest
     from ...scene.belief import Belief
+    from ..joint.leaks import Leaks
 
 NOMINAL_NOISE = 0.01
 """Standard deviation that weights the readings when none is known, relative to the median peak.
@@ -76,6 +77,8 @@ class Measurements:
     """Whether the response is learned: the contact model is only its mean."""
     unit: float = 1.0
     """Recorded unit per Pa: of raw readings that were scaled to the believed peak pressures."""
+    leaks: Leaks | None = None
+    """Which neighbours crosstalk; None: all."""
     response_levels: tuple[float, float] = (0.5, 0.5)
     """Levels of readings, relative to the nominal peak, at which a learned compression leaves the
     effects of a taxel's gain and of an error of ln F as they are: those that determine both."""

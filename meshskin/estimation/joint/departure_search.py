@@ -13,6 +13,7 @@ from ..data.global_parameters import ELECTRONICS, PRIORS
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from .departures import MIN_SCORE
 from .deviations import Deviations
+from .leaks import leaking_pairs
 from .parametrization import Unknowns
 from .pressure import OBSERVED
 from .random_effects import RandomEffects
@@ -20,6 +21,9 @@ from .random_effects import RandomEffects
 MAX_SIGMAS = 4.0
 """Prior standard deviations from which the estimate of a departure is not plausible: 6e-5 by
 chance."""
+MAX_ROUNDS, SAME = 6, 0.05
+"""Largest number of choices of the neighbours that crosstalk: places follow, and the choice them;
+and the change of their weights from which the choice is the same."""
 MAX_SHARE = 0.8
 """Largest share of a reading that hysteresis, creep or crosstalk have: others stand behind more."""
 LEAST_GAIN = 0.5
@@ -48,6 +52,8 @@ def with_departures(effects: RandomEffects) -> tuple[RandomEffects, dict[str, fl
         start = extended.unknowns, extended.deviations
         try:
             converged = extended.converge()
+            if converged and shown[0] == "crosstalk":
+                extended, converged = _within_modules(extended)
         except SingularMatrixError:
             converged = None
         if converged is None or not plausible(extended, shown[0]):
@@ -62,6 +68,23 @@ def with_departures(effects: RandomEffects) -> tuple[RandomEffects, dict[str, fl
             unlikely.add(shown[0])
         if not converged:  # a response of another kind; further departures would not mend it
             return effects, {name: left[name] for name in left if name != shown[0]}
+
+
+def _within_modules(effects: RandomEffects) -> tuple[RandomEffects, bool]:
+    """The estimate with crosstalk between those neighbours only that show it, and whether it
+    converges; the same where all do."""
+    for _ in range(MAX_ROUNDS):
+        share = effects.data.parameters.value("crosstalk", effects.unknowns.s)
+        leaks = leaking_pairs(effects.fitted(), share)
+        before = effects.data.leaks
+        if leaks is None or (before and np.abs(leaks.weight - before.weight).max() < SAME):
+            return effects, True
+        data = replace(effects.data, leaks=leaks)
+        u, d = effects.unknowns, effects.deviations
+        effects = RandomEffects(data, effects.readings, u, d, effects.pattern, effects.stage)
+        if not effects.converge():
+            return effects, False
+    return effects, True
 
 
 def _from_wider_forces(effects: RandomEffects, u: Unknowns, d: Deviations) -> RandomEffects:

@@ -154,7 +154,17 @@ class Electronics:
     @cached_property
     def neighbours(self) -> sparse.csr_array:
         """The matrix (k, k) that sums, for each reading, those of the taxel's neighbours in its
-        contact."""
+        contact, as far as they crosstalk."""
+        leaks, taxel = self.data.leaks, self.readings.taxel
+        if leaks is None:
+            return self.all_neighbours
+        entries = self.all_neighbours.tocoo()
+        weight = leaks.of(taxel[entries.row] * len(self.points) + taxel[entries.col])
+        return sparse.csr_array((weight, (entries.row, entries.col)), shape=entries.shape)
+
+    @cached_property
+    def all_neighbours(self) -> sparse.csr_array:
+        """The same of all neighbours."""
         from scipy.spatial import cKDTree
 
         readings, k = self.readings, len(self.readings.taxel)

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
@@ -189,6 +188,8 @@ def _misfit(
 ) -> tuple[float, tuple[str, ...]]:
     """Factor of the covariances by the distances of single taxels from their places, and what to
     say of it: 1 and nothing where chance explains them."""
+    from scipy.special import chdtrc  # scipy.stats imports slowly
+
     points = parametrization.points()
     slope = np.zeros((len(points), 3, 6))
     square, freedom = 0.0, 0
@@ -196,6 +197,6 @@ def _misfit(
         r, _ = module.residuals(points, slope)
         square += float(r @ np.linalg.solve(module.covariance, r))
         freedom += max(len(r) - 3, 0)
-    if not freedom or stats.chi2.sf(square, freedom) > LEVEL:
+    if not freedom or chdtrc(freedom, square) > LEVEL:
         return 1.0, ()
     return square / freedom, (WIDENED.format((square / freedom) ** 0.5),)

@@ -27,6 +27,7 @@ from .creep import TIME
 from .deviations import FLOOR
 from .electronics import WIDTH
 from .joint_estimator import JointEstimator
+from .leaks import leak_covariances
 from .noise import neighbours
 from .null_space import undetermined_motion
 from .pressure import CENSORED, OBSERVED, disc_means
@@ -88,6 +89,7 @@ def learned_result(
     apart = np.nan_to_num(rivals.points - points)
     apart = np.einsum("kij,ki->kj", rotations[:, :, :2], apart)
     tangential = scale * covariance[:, :2, :2] + apart[:, :, None] * apart[:, None, :]
+    tangential += _leaks(effects)
     lost, reasons = estimator.broken, reasons.copy()
     reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
     infinite = np.diag([np.inf, np.inf])
@@ -232,6 +234,7 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
         unit=data.unit,
         hysteresis=_hysteresis(effects),
         crosstalk=data.parameters.value("crosstalk", s),
+        leaking=1.0 if data.leaks is None else float(data.leaks.weight.mean()),
         drift=_drift(effects),
         creep=_creep(effects),
         gain_drift=float(np.expm1(_common_drift(effects, "gain_drift"))),
@@ -253,6 +256,15 @@ def _hysteresis(effects: RandomEffects) -> tuple[float, float]:
         return 0.0, 0.0
     share, log_width = effects.unknowns.s[columns["hysteresis"]]
     return float(share), WIDTH * float(np.exp(log_width))
+
+
+def _leaks(effects: RandomEffects) -> Array:
+    """What to add to the tangential covariances (n, 2, 2), m^2, for neighbours that may
+    crosstalk or not."""
+    if effects.data.leaks is None:
+        return np.zeros((2, 2))
+    share = effects.data.parameters.value("crosstalk", effects.unknowns.s)
+    return leak_covariances(effects.fitted(), share)
 
 
 def _creep(effects: RandomEffects) -> tuple[float, float]:

@@ -26,6 +26,9 @@ median, is compared: at an offset of seconds a few contacts lie on the way from 
 next, far from all others."""
 MAX_CONTACTS = 2000
 """Contacts, evenly chosen, that are compared."""
+FAINT = 0.1
+"""Reading, relative to the largest one of its taxel, up to which it is left out: its weight is
+below 1 %, and a log of all taxels has twenty times as many of them, mostly noise."""
 
 
 def first_offset(
@@ -35,7 +38,8 @@ def first_offset(
     unknowns s (K,); 0 where that is not declared unknown, or no offset makes the contacts of the
     taxels spread by less than now."""
     kept = np.arange(len(time))[:: 1 + len(time) // MAX_CONTACTS]
-    contact, taxel = np.nonzero(np.isfinite(readings[kept]))
+    level = np.nan_to_num(readings[kept])
+    contact, taxel = np.nonzero(level > FAINT * level.max(axis=0, initial=0.0))
     if "clock_offset" not in kinematics.columns or not len(contact):
         return 0.0
     weight = readings[kept][contact, taxel] ** 2

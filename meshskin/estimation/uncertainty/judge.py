@@ -89,6 +89,7 @@ def judge(
         lambda: verdict.forces(recording, calibration),
         lambda: verdict.force_offset(data, calibration),
         lambda: verdict.stiffness(calibration),
+        lambda: verdict.profile(calibration),
         lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
         lambda: _faults(calibration),
@@ -298,6 +299,9 @@ def _radius(data: Measurements) -> float:
 
 
 def _faults(calibration: Calibration) -> list[Finding]:
+    if not np.isfinite(calibration.positions).all(axis=1).any():
+        undetermined = "; ".join(calibration.undetermined) or "see the reasons of the taxels"
+        return [(FAIL, f"no taxel is determined: {undetermined}")]
     if calibration.faults is None:
         return []
     touched = np.asarray(calibration.touched, dtype=bool)

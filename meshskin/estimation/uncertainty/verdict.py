@@ -40,6 +40,9 @@ MIN_OFFSET = 0.05
 MAX_OFFSET = 0.5
 """Largest offset, as `MIN_OFFSET`, that is named: with forces wrong by more than half, the skin
 rather has another response."""
+RISE_SIGMAS, MIN_RISE = 4.0, 0.01
+"""Rise of a learned profile from which it is named: in standard deviations, and beyond these
+relative to the peak."""
 AGREEMENT = 0.3
 """Largest difference of the two signs, relative to their sum: layers have other exponents than
 Hertz patches, by up to a quarter."""
@@ -138,6 +141,26 @@ def stiffness(calibration: Calibration) -> list[Finding]:
         f"{response.force_correlation:.2f}): stiffness or thickness of the skin varies over the "
         "body, which displaces the estimates; their variances are widened "
         f"{response.alike_contacts:.2g} times, which can be too little"
+    )
+    return [(DOUBT, words)]
+
+
+def profile(calibration: Calibration) -> list[Finding]:
+    """A learned profile that rises with the distance from the contact point: no contact's does."""
+    response = calibration.response
+    if response is None:
+        return []
+    value, sigma = response.profile, response.profile_sigma
+    lowest = np.array([int(np.argmin(value[: k + 1])) for k in range(len(value))])
+    rise = value - value[lowest] - RISE_SIGMAS * np.hypot(sigma, sigma[lowest])
+    k = int(np.argmax(rise))
+    if rise[k] < MIN_RISE * value.max():
+        return []
+    risen, (near, far) = value[k] - value[lowest[k]], 1e3 * response.distance[[lowest[k], k]]
+    words = (
+        f"the learned profile rises by {risen / value.max():.2g} of its peak from {near:.2g} to "
+        f"{far:.2g} mm from the contact point (limit {MIN_RISE:g} beyond {RISE_SIGMAS:g} standard "
+        "deviations): patches that are not round, two contacts, or crosstalk; see its figure"
     )
     return [(DOUBT, words)]
 

@@ -8,6 +8,7 @@ import pytest
 from meshskin.estimation.data.global_parameters import declared_parameters
 from meshskin.estimation.joint.electronics import Electronics
 from meshskin.estimation.joint.known_past import KnownPast
+from meshskin.estimation.joint.leaks import Leaks
 from meshskin.estimation.joint.likelihood import Readings
 
 PEAK, SIGMA = 2e5, 2e3
@@ -26,6 +27,7 @@ def electronics(contact, taxel, points, time=None, names=("hysteresis", "crossta
         parameters=declared_parameters(names, {}, 3.0, PEAK),
         nominal_peak=PEAK,
         sigma=SIGMA,
+        leaks=None,
     )
     return Electronics(data, readings, points)
 
@@ -99,6 +101,14 @@ def test_neighbours_are_those_of_the_lattice_in_the_same_contact():
     np.testing.assert_array_equal(sums[first], [2, 3, 2, 3, 4, 3, 2, 3, 2])  # of a square lattice
     second = dict(zip(made.readings.taxel[~first].tolist(), sums[~first], strict=True))
     assert second == {4: 2.0, 1: 1.0, 3: 1.0, 8: 0.0}
+
+
+def test_neighbours_that_crosstalk_are_weighted():
+    made = electronics(np.zeros(3, dtype=int), np.arange(3), 5e-3 * np.eye(3)[[0, 0, 0]].cumsum(0))
+    made.data.leaks = Leaks(np.array([1, 3]), np.array([0.9, 0.9]))  # of the first two, both ways
+    expected = [[0.0, 0.9, 0.0], [0.9, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    np.testing.assert_array_equal(made.neighbours.toarray(), expected)
+    assert made.all_neighbours.toarray().sum() == 4
 
 
 def test_derivatives():

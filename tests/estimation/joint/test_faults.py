@@ -301,10 +301,10 @@ def test_a_taxel_that_ignores_several_presses_is_faulty(presses, fault):
     assert fault_detection.unanswered_presses(readings).all() == fault
 
 
-@pytest.mark.parametrize("noise", ["known", "unknown"])
-def test_noise_in_contacts_on_the_far_side_is_no_fault(noise):
-    """Without a threshold half of the readings are noise, also in contacts under the normal of
-    which the taxel lies on the far side of the body."""
+@pytest.fixture(scope="module")
+def far_side():
+    """A scene without a threshold, and its recording: half of the readings are noise, also in
+    contacts under the normal of which the taxel lies on the far side of the body."""
     body = ms.Body.sphere(0.02)
     scene = ms.Scene(
         body=body,
@@ -315,8 +315,14 @@ def test_noise_in_contacts_on_the_far_side_is_no_fault(noise):
         loop=ms.Loop(mode="quasi_static"),
         readout=ms.Readout(rate=30.0),
     )
+    return scene, ms.simulate(scene, seed=1)
+
+
+@pytest.mark.parametrize("noise", ["known", "unknown"])
+def test_noise_in_contacts_on_the_far_side_is_no_fault(far_side, noise):
+    scene, recording = far_side
     belief = scene.belief() if noise == "known" else replace(scene.belief(), noise_sigma=None)
-    found = ms.calibrate(ms.simulate(scene, seed=1), belief)
+    found = ms.calibrate(recording, belief)
     assert not any(found.faults)
     assert found.verdict.level == "PASS"
     error = np.linalg.norm(found.positions - scene.skin.positions, axis=1)

@@ -1,6 +1,7 @@
 """Wrong logs are named: each has a verdict of DOUBT or FAIL with its cause, or is refused."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -12,6 +13,7 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import METHODS, calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
+from meshskin.estimation.uncertainty import verdict
 from meshskin.estimation.uncertainty.weighted_means import surrounded
 from meshskin.recording.recording import Recording
 
@@ -277,3 +279,13 @@ def test_an_overstated_noise_is_named(noisy, recorded, factor, level):
     found = ms.calibrate(recorded, replace(belief, noise_sigma=factor * belief.noise_sigma))
     assert found.verdict.level == level
     assert any("times the stated noise" in text for text in found.verdict.reasons) == (factor > 3)
+
+
+@pytest.mark.parametrize(("bump", "sigma", "named"), [(0.2, 0.01, True), (0.2, 0.1, False)])
+def test_a_profile_that_rises_beyond_its_band_is_a_doubt(bump, sigma, named):
+    r = np.linspace(0.0, 5e-3, 60)
+    profile = np.exp(-((r / 2e-3) ** 2)) + bump * np.exp(-(((r - 4e-3) / 5e-4) ** 2))
+    response = SimpleNamespace(distance=r, profile=profile, profile_sigma=np.full(60, sigma))
+    found = verdict.profile(SimpleNamespace(response=response))
+    assert [level for level, _ in found] == ["DOUBT"] * named
+    assert all("to 4 mm" in words for _, words in found)

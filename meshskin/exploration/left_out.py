@@ -1,0 +1,98 @@
+"""The taxels that a plan leaves out, the reason for each, and what would reach them."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from ..contact.reading import same_sheet
+from ..core.arrays import Array
+from ..robot import collision
+from ..scene.scene import Scene
+from ..skin.skin import Skin
+from . import reach
+from .lanes import MAX_SPACING
+from .path import Path
+
+ENOUGH = 4
+"""Fewest contacts near a taxel for it to count as covered: one more than trilateration needs."""
+NEAR, ASIDE = 0.9, 0.15
+"""How near a taxel contacts count for it, and how far they must spread off a line for it to be
+covered, both relative to the sensing radius."""
+
+MANY = 0.1
+"""Part of the taxels that are left out because the indenter is refused near them, from which the
+plan recommends a lighter force or another radius."""
+REFUSED = collision.HOLLOW, collision.EDGE, collision.SUPPORT, "does not hold"
+"""Reasons, or parts of them, that another indenter may not have."""
+
+NOT_COVERED = "no contact passes near it"
+ONE_LINE = "contacts pass near it along one line only"
+SPARSE = NOT_COVERED, ONE_LINE
+"""Beginnings of the reasons that closer lanes mend."""
+
+
+Blocked = tuple[Array, Array]
+"""Points (k, 3), body frame, and the reason (k,) why each cannot be touched, "" where it can."""
+
+
+def too_wide(spacing: float, radius: float) -> str:
+    """What to do about lanes, a spacing apart, m, that are too far apart for a sensing radius, m;
+    "" where they are not.
+    """
+    if spacing <= MAX_SPACING * radius:
+        return ""
+    apart, felt, least = (f"{1e3 * x:.2g} mm" for x in (spacing, radius, MAX_SPACING * radius))
+    return f": lanes are {apart} apart, contacts felt within {felt}; bring lanes to {least}"
+
+
+def other_contact(scene: Scene, left_out: dict[int, str]) -> str:
+    """The force or indenter that is recommended where this one is refused near many taxels; ""
+    elsewhere.
+    """
+    refused = sum(any(why in one for why in REFUSED) for one in left_out.values())
+    if refused < MANY * len(scene.skin):
+        return ""
+    found = reach.other_contacts(scene)
+    best = reach.recommended(found)
+    if best is found[0]:
+        return ""
+    what = "a lighter force" if best.radius == found[0].radius else "another indenter"
+    return f"use {what}: {reach.recommendation(found)}, of the taxels, but for the arm"
+
+
+def taxels_left_out(
+    skin: Skin, radius: float, segments: list[Path], blocked: list[Blocked]
+) -> dict[int, str]:
+    """The reason for each taxel, by id, that the segments do not cover on its own sheet of skin.
+
+    It is the most frequent reason among the blocked points around the taxel.
+    """
+    from scipy.spatial import cKDTree
+
+    sites = skin.positions
+    covered, sparse = np.zeros(len(sites), dtype=bool), np.full(len(sites), NOT_COVERED, object)
+    if segments:
+        points = np.concatenate([s.points for s in segments])
+        pitch = max(float(np.linalg.norm(np.diff(points, axis=0), axis=1).mean()), 1e-9)
+        rows = slice(None, None, max(int(0.1 * radius / pitch), 1))
+        points, normals = points[rows], np.concatenate([s.normals for s in segments])[rows]
+        for k, around in enumerate(cKDTree(points).query_ball_point(sites, NEAR * radius)):
+            facing = np.broadcast_to(skin.normals[k], (len(around), 3))
+            near = np.array(around, dtype=int)
+            near = near[same_sheet(sites[k] - points[near], normals[near], facing)]
+            if len(near) >= ENOUGH:
+                offset = points[near] - points[near].mean(axis=0)
+                spread = np.linalg.svd(offset, compute_uv=False) / np.sqrt(len(near))
+                covered[k], sparse[k] = spread[1] > ASIDE * radius, ONE_LINE
+    points = np.concatenate([np.zeros((0, 3)), *(points for points, _ in blocked)])
+    reasons = np.concatenate([np.zeros(0, dtype=object), *(reason for _, reason in blocked)])
+    points, reasons = points[reasons != ""], reasons[reasons != ""]
+    tree = cKDTree(points) if len(points) else None
+    out: dict[int, str] = {}
+    for row in np.flatnonzero(~covered):
+        around = tree.query_ball_point(sites[row], 1.5 * radius) if tree is not None else []
+        counts = Counter(reasons[around]) if around else {}
+        out[int(skin.ids[row])] = Counter(counts).most_common(1)[0][0] if counts else sparse[row]
+    return out
