@@ -17,8 +17,8 @@ from ...scene.belief import RAW
 from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, MIN_KEPT, SIZES, declared_parameters
 from ..data.unit_checks import angles
+from ..joint.contact_correlations import MAX_CORRELATION
 from ..joint.departures import MIN_SCORE
-from ..joint.learned_result import MAX_CORRELATION
 from . import verdict, weighted_means
 from .contact_errors import displacement, motion, offsets
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
