@@ -36,9 +36,7 @@ def test_few_seeds(study):
     assert {"position", "tilt", "spin"} < set(found["modules"])
     assert len([name for name in found["body"] if name.startswith("body_offset")]) == 6
     seen = {name.split()[0] for rows in found.values() for name in rows}
-    learned = {*LEARNED, *ELECTRONICS, "drift"} - {
-        "modulus"
-    }  # of a learned response: studies/foreign_worlds.py
+    learned = set(LEARNED_ONLY)  # studies/foreign_worlds.py has those
     assert seen > {*SIZES, *NUISANCE} - learned  # every unknown of a physical contact model
     for name, rows in found.items():
         assert rows["fit"]["false_alarms"] == 0
