@@ -93,7 +93,8 @@ def test_presses_tell_their_batches(sphere, monkeypatch):
     found = ms.press(sphere, points, progress=heard)
     assert heard == [("press", k, 3) for k in range(4)]
     monkeypatch.undo()
-    assert found == ms.press(sphere, points)
+    again = ms.press(sphere, points)  # made in another second, as its provenance says
+    assert (found.contacts, found.readings) == (again.contacts, again.readings)
 
 
 def test_a_layout_tells_its_rings_and_projections():
