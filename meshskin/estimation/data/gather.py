@@ -42,7 +42,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     hit = belief.body.closest(points)
     unit_checks.check_points(belief.body, points, hit.distance)
     if "body_offset" in belief.unknown:
-        belief, points = registered(belief, points)
+        belief, points = registered(belief, points, recording.force > 0)
         hit = belief.body.closest(points)
     learned = belief.readings == RAW or belief.contact == contact.LEARNED
     if learned:

@@ -36,21 +36,29 @@ CELL = 0.01
 wide as this and more."""
 
 
-def registered(belief: Belief, points: Array) -> tuple[Belief, Array]:
+def registered(
+    belief: Belief, points: Array, used: np.ndarray | slice = slice(None)
+) -> tuple[Belief, Array]:
     """The belief with the body offset as a contact motion about its value by the distances, and the
-    contact points (m, 3), m, moved there.
+    contact points (m, 3), m, body frame, moved there.
+
+    used (m,) bool: the points that touch the body, whose distances count; by default all.
 
     Both as they are where no body offset is unknown, where the belief has another contact motion,
-    and where the points are on the surface: they were computed from it, wherever the body was.
+    where no point touches, and where the points are on the surface: they were computed from it,
+    wherever the body was.
     """
     if "body_offset" not in belief.unknown or belief.contact_motion is not None:
         return belief, points
-    if np.median(np.abs(belief.body.closest(points).distance)) < MIN_SCATTER:
+    touching = points[used]
+    if not len(touching):
+        return belief, points
+    if np.median(np.abs(belief.body.closest(touching).distance)) < MIN_SCATTER:
         return belief, points
     declared = declared_parameters(("body_offset",), belief.priors, 1.0, 1.0)
-    offset, covariance = _fit(belief, points, declared.sigma)
+    offset, covariance = _fit(belief, touching, declared.sigma)
     moved = _moved(points, offset)
-    arms = -se3.hat(moved)
+    arms = -se3.hat(moved - offset[:3]) @ se3.left_jacobian(offset[3:])
     value, vectors = np.linalg.eigh(covariance)
     motion = ContactMotion(
         labels=declared.labels,
@@ -81,7 +89,8 @@ def _fit(belief: Belief, points: Array, sigma: Array) -> tuple[Array, Array]:
         weight = np.minimum(1.0, far) / scatter**2
         cells = np.unique(np.floor(moved / CELL), axis=0, return_inverse=True)[1].ravel()
         weight /= np.bincount(cells)[cells]
-        jacobian = np.concatenate([hit.normal, np.cross(moved - offset[:3], hit.normal)], axis=1)
+        turned = np.cross(moved - offset[:3], hit.normal) @ se3.left_jacobian(offset[3:])
+        jacobian = np.concatenate([hit.normal, turned], axis=1)
         hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
         gradient = jacobian.T @ (weight * hit.distance) + prior * offset
         step = -np.linalg.solve(hessian, gradient)
