@@ -165,7 +165,8 @@ def compare(a: Skin, b: Skin) -> Difference:
 
 def reshape_of(at_a: Array, at_b: Array) -> Reshape | None:
     """Mirror and scale that bring points B (n, 3), m, to A; None where they leave more than half of
-    the rms distance after a rigid alignment.
+    the rms distance after a rigid alignment, or of the rms radius of A: any points shrink to one,
+    which is no farther from A than that.
 
     Source: Umeyama, IEEE PAMI 13 (1991).
     """
@@ -182,7 +183,8 @@ def reshape_of(at_a: Array, at_b: Array) -> Reshape | None:
             left = rms(np.linalg.norm(a - scale * b @ turn.T, axis=1))
             found.append((left, sign, scale, turn))
     rigid, least = found[0][0], min(fit[0] for fit in found)
-    if rigid <= MIN_DIFFERENCE or least > EXPLAINED * rigid:
+    to_explain = min(rigid, rms(np.linalg.norm(a, axis=1)))
+    if to_explain <= MIN_DIFFERENCE or least > EXPLAINED * to_explain:
         return None
     limit = max(least / EXPLAINED, MIN_DIFFERENCE)  # the simplest of those that fit as well
     _, sign, scale, turn = next(fit for fit in found if fit[0] <= limit)

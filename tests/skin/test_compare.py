@@ -310,3 +310,10 @@ def test_mirrored_and_scaled_maps_are_named(arm, capsys, tmp_path, mirror, scale
 
 def test_noise_is_no_scale(arm):
     assert compare(arm, moved(arm, noise=1e-4)).reshape is None
+
+
+def test_a_larger_skin_of_another_shape_is_no_scale(arm):
+    """Shrunk to a point it is nearer to A than at its size."""
+    poses = arm.poses.copy()
+    poses[:, :3, 3] = 5.0 * np.random.default_rng(0).permutation(poses[:, :3, 3])
+    assert compare(arm, Skin(poses, arm.ids)).reshape is None
