@@ -77,7 +77,7 @@ def _within_modules(effects: RandomEffects) -> tuple[RandomEffects, bool]:
         share = effects.data.parameters.value("crosstalk", effects.unknowns.s)
         leaks = leaking_pairs(effects.fitted(), share)
         before = effects.data.leaks
-        if leaks is None or (before and np.abs(leaks.weight - before.weight).max() < SAME):
+        if leaks is None or (before and leaks.change_from(before) < SAME):
             return effects, True
         data = replace(effects.data, leaks=leaks)
         u, d = effects.unknowns, effects.deviations

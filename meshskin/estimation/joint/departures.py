@@ -164,8 +164,9 @@ class FittedReadings:
             follows = np.ravel(self._solved(self._coupling(scale)))
             common = weighted.T @ scale - part.reshape(-1, len(known)).T @ follows
             own = float(self._moments(scale)[1].sum())
-            slope = slope + common * float(self.rate @ scale) / own
-            information -= np.outer(common, common) / own
+            if own > 0:  # zero without any reading that counts
+                slope = slope + common * float(self.rate @ scale) / own
+                information -= np.outer(common, common) / own
         lost = np.diag(information) <= SEEN * known
         information[lost] = information[:, lost] = 0.0
         return np.where(lost, 0.0, slope), information

@@ -48,7 +48,8 @@ def largest_jump(fitted: FittedReadings) -> Jump:
     """The most significant displacement of all contacts from one on."""
     m, best = len(fitted.data.points), Jump()
     moved = fitted.moved(np.broadcast_to(np.eye(3), (m, 3, 3)))
-    for begin in np.unique(np.linspace(0, m, PLACES + 2).astype(int)[1:-1]):
+    places = np.unique(np.linspace(0, m, PLACES + 2).astype(int)[1:-1])
+    for begin in places[places > 0]:  # from the first contact on all move: that is no jump
         slope, information = fitted.shared((fitted.readings.contact >= begin)[:, None] * moved)
         value, vectors = np.linalg.eigh(information)
         seen = value > MIN_SHOWN * max(float(value[-1]), 1e-300)

@@ -32,7 +32,8 @@ class Leaks:
     """Pairs of n taxels that crosstalk."""
 
     key: np.ndarray
-    """Row of the one times n plus row of the other (p,), rising; each pair both ways."""
+    """Row of the one times n plus row of the other (p,), rising: one entry
+    for each direction in which a pair is compared."""
     weight: Array
     """Probability (p,) that it crosstalks."""
 
@@ -41,12 +42,19 @@ class Leaks:
         at = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
         return np.where(self.key[at] == key, self.weight[at], 0.0)
 
+    def change_from(self, before: Leaks) -> float:
+        """Largest change of a weight; pairs that only one of the two has have 0 in the other."""
+        key = np.union1d(self.key, before.key)
+        return float(np.abs(self.of(key) - before.of(key)).max())
+
 
 def leaking_pairs(fitted: FittedReadings, share: float) -> Leaks | None:
-    """The pairs of neighbours that crosstalk; None where all do alike. share: of the crosstalk that
-    `fitted` has."""
+    """The pairs of neighbours that crosstalk; None where all do alike, or there are no neighbours.
+    share: of the crosstalk that `fitted` has."""
     n = len(fitted.points)
     key, value, variance = _shares(fitted, share)
+    if not len(key):
+        return None
     first, second = np.divmod(key, n)
     pair = np.minimum(first, second) * n + np.maximum(first, second)
     owner = np.unique(pair, return_inverse=True)[1]

@@ -1,6 +1,7 @@
 """What the readings show beyond the contact model is estimated by default, and else named."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -9,6 +10,7 @@ import pytest
 import meshskin as ms
 from meshskin.core import se3
 from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.joint.departures import FittedReadings
 from meshskin.recording.recording import Recording
 
 CONTACTS = 500
@@ -94,3 +96,16 @@ def test_offsets_that_drift_are_named_where_the_contact_model_is_fixed(noisy):
     found = calibrate(drifting, belief)
     assert found.verdict.level != "PASS"
     assert any("drift" in words for words in found.verdict.reasons)
+
+
+def test_readings_without_weight_determine_no_parameter():
+    """As where no taxel has converged."""
+    none = np.zeros(4)
+    fitted = FittedReadings(
+        data=None, readings=SimpleNamespace(taxel=np.array([0, 0, 1, 1])), points=np.zeros((2, 3)),
+        mu=np.ones(4), offset=none, rate=none, curvature=none, own=np.ones((3, 4)),
+        prior=np.zeros(3), tangents=np.zeros((2, 3, 2)),
+    )  # fmt: skip
+    slope, information = fitted.shared(np.ones((4, 3)))
+    assert not slope.any()
+    assert not information.any()
