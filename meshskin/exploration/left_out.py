@@ -75,7 +75,8 @@ def taxels_left_out(
     covered, sparse = np.zeros(len(sites), dtype=bool), np.full(len(sites), NOT_COVERED, object)
     if segments:
         points = np.concatenate([s.points for s in segments])
-        pitch = max(float(np.linalg.norm(np.diff(points, axis=0), axis=1).mean()), 1e-9)
+        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        pitch = max(length / max(len(points) - 1, 1), 1e-9)
         rows = slice(None, None, max(int(0.1 * radius / pitch), 1))
         points, normals = points[rows], np.concatenate([s.normals for s in segments])[rows]
         for k, around in enumerate(cKDTree(points).query_ball_point(sites, NEAR * radius)):
@@ -93,6 +94,6 @@ def taxels_left_out(
     out: dict[int, str] = {}
     for row in np.flatnonzero(~covered):
         around = tree.query_ball_point(sites[row], 1.5 * radius) if tree is not None else []
-        counts = Counter(reasons[around]) if around else {}
-        out[int(skin.ids[row])] = Counter(counts).most_common(1)[0][0] if counts else sparse[row]
+        counts = Counter(reasons[around] if around else ())
+        out[int(skin.ids[row])] = counts.most_common(1)[0][0] if counts else sparse[row]
     return out

@@ -180,6 +180,8 @@ def test_contacts_on_the_far_face_of_a_plate_do_not_cover_a_taxel():
     line = replace(path, **{name: getattr(path, name)[:9] for name in ROWS})
     skin = ms.Skin(poses[:1], np.array([0]))
     assert taxels_left_out(skin, 8e-3, [line], []) == {0: ONE_LINE}
+    single = replace(path, **{name: getattr(path, name)[:1] for name in ROWS})
+    assert taxels_left_out(skin, 8e-3, [single], []) == {0: NOT_COVERED}
 
 
 def test_lanes_too_far_apart_are_named_with_the_remedy(sphere):

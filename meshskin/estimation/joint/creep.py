@@ -1,10 +1,10 @@
 """Creep: the reading of a taxel under a held pressure rises, or falls, with a time constant.
 
-The pressure p of each taxel is held until it is read, from the frame before on but for a time in
-which the indenter is lifted, and zero between its readings. What follows it, dQ/dt = (p - Q) / tau,
-Q = 0 before the first contact, is at the k-th reading of the taxel
+The pressure p of each taxel is held until it is read, from the frame before on but for a time,
+`lift` times tau, in which the indenter is lifted, and zero between its readings. What follows it,
+dQ/dt = (p - Q) / tau, Q = 0 before the first contact, is at the k-th reading of the taxel
 
-    Q_k = (1 - exp((lift - frame) / tau)) p_k + exp(-since / tau) Q_(k-1).
+    Q_k = (1 - exp(lift - frame / tau)) p_k + exp(-since / tau) Q_(k-1).
 
 Source: Johnson, Contact Mechanics (1985), section 6.5 (standard linear solid).
 """
@@ -33,8 +33,8 @@ def frames(time: Array) -> Array:
 
 
 def lacking(frame: Array, log_time: float, lift: float = 0.0) -> Array:
-    """What part (k,) of its own pressure Q lacks after frames (k,), s; log_time: logarithm of tau
-    in TIME; lift: in tau."""
+    """Part (k,) of its own pressure that Q lacks after frames (k,), s; log_time: logarithm of tau
+    in units of TIME; lift: in units of tau."""
     return np.asarray(np.exp(lift - frame / (TIME * np.exp(log_time))))
 
 

@@ -68,10 +68,11 @@ def systematic_covariance(
 
 def local_means(data: Measurements, distance: Array) -> tuple[Array, Array]:
     """Means (n,), m, of the distances (m,), m, of each taxel's contact points from the believed
-    surface, weighted by pressure squared, and their variances (n,), m^2; zeros without readings.
+    surface, weighted by pressure squared, and their variances (n,), m^2; zeros without readings
+    above zero.
     """
     weight, n, h = data.pressure**2, len(data.ids), distance[data.contact]
-    share = weight / np.bincount(data.taxel, weight, n)[data.taxel]
+    share = weight / np.maximum(np.bincount(data.taxel, weight, n), 1e-300)[data.taxel]
     mean = np.asarray(np.bincount(data.taxel, share * h, n), dtype=float)
     scatter = float(np.sum((h - mean[data.taxel]) ** 2)) / max(len(h) - n, 1)
     return mean, np.asarray(scatter * np.bincount(data.taxel, share**2, n))
@@ -213,7 +214,7 @@ def _late_squares(data: Measurements) -> Array:
     weight, own, at = data.pressure[rows] ** 2, data.taxel[rows], data.contact[rows]
     begins = (np.diff(own, prepend=-1) != 0) | (np.diff(at, prepend=0) > delay.LATE_FRAMES)
     number = np.cumsum(begins) - 1
-    share = weight / np.bincount(own, weight, n)[own]
+    share = weight / np.maximum(np.bincount(own, weight, n), 1e-300)[own]
     mean = sums_by_group(share[:, None] * moved, own, n)
     apart = sums_by_group(share[:, None] * (moved - mean[own]), number)
     total = mean[:, :, None] * mean[:, None, :]

@@ -1,6 +1,7 @@
 """Errors of body, contact points and clocks are in the covariances as far as contacts show them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -42,6 +43,16 @@ def late(recording, frames):
     time = pa.array(recording.time[row[kept]])
     table = table.set_column(table.column_names.index("time"), "time", time)
     return Recording(recording.contacts, table, {})
+
+
+def test_a_taxel_that_reads_zero_leaves_the_means_of_others():
+    data = SimpleNamespace(
+        ids=np.arange(2), taxel=np.array([0, 0, 1]), contact=np.arange(3),
+        pressure=np.array([1.0, 1.0, 0.0]),
+    )  # fmt: skip
+    mean, variance = contact_errors.local_means(data, np.array([1e-3, 3e-3, 5e-3]))
+    np.testing.assert_allclose(mean, [2e-3, 0.0])
+    assert np.isfinite(variance).all()
 
 
 def stated_over_true(found, truth):
