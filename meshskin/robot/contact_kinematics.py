@@ -124,7 +124,7 @@ class ContactKinematics(NamedFields):
     """Standard deviations of what is not known exactly, by name: any of SIGMAS."""
     delayed: tuple[str, ...] | None = None
     """Joints whose stamps may be late against those of the others: the joint_delay. None: all but
-    the first one."""
+    one, by default the first; `calibrate_log` takes the one that moves the heights fastest."""
 
     def __post_init__(self) -> None:
         check_type(Chain, self.chain, "chain of contact kinematics")
@@ -143,11 +143,8 @@ class ContactKinematics(NamedFields):
             if name not in SIGMAS:
                 raise UnknownNameError("parameter of contact kinematics", name, SIGMAS)
             check_real(f"standard deviation of {name}", sigma, above=0.0)
-        names = self.chain.joint_names
         for name in self.delayed or ():
-            check_name("joint", name, names)
-        delayed = names[1:] if self.delayed is None else self.delayed
-        object.__setattr__(self, "delayed", delayed)
+            check_name("joint", name, self.chain.joint_names)
         object.__setattr__(self, "indenter", centre)
         object.__setattr__(self, "mount", np.asarray(self.mount, dtype=float))
 
@@ -165,7 +162,8 @@ class ContactKinematics(NamedFields):
     @property
     def _joints(self) -> dict[str, tuple[str, ...]]:
         """The joints that have an entry of an unknown that is one of each joint."""
-        return {JOINTS: self.chain.joint_names, DELAYS: self.delayed or ()}
+        names = self.chain.joint_names
+        return {JOINTS: names, DELAYS: names[1:] if self.delayed is None else self.delayed}
 
     @cached_property
     def labels(self) -> tuple[str, ...]:

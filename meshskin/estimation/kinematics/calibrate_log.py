@@ -269,10 +269,11 @@ def _started(
     Delays of the joints, which the heights tell, and the clock displace contacts alike: the offset
     of the clocks is sought again at the delays.
     """
-    contacts, clock, s = contact_frames(log), 0.0, np.zeros(len(kinematics.labels))
+    contacts, clock, timed = contact_frames(log), 0.0, kinematics
+    s = np.zeros(len(kinematics.labels))
     for _ in range(CLOCK_FITS):
         stamps, readings = log.time[contacts], log.readings[contacts]
-        further = first_offset(kinematics, path, stamps - clock, readings, s)
+        further = first_offset(timed, path, stamps - clock, readings, s)
         if s.any() and not further:
             break
         clock += further
@@ -284,8 +285,8 @@ def _started(
                 remedy="check the joints' streams for gaps (meshskin log), and the clocks",
             )
         time, force = log.time[frames] - clock, _forces(log, frames, reference)
-        kinematics = timed_by_the_fastest(kinematics, path, time, belief.body)
-        heights, x = _heights(kinematics, path, time, belief, force)
+        timed = timed_by_the_fastest(kinematics, path, time, belief.body)
+        heights, x = _heights(timed, path, time, belief, force)
         s = x[:-1]
     return frames, clock, heights, x
 

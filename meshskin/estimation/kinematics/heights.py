@@ -208,9 +208,10 @@ def timed_by_the_fastest(
     model: ContactKinematics, path: JointPath, time: Array, body: Body
 ) -> ContactKinematics:
     """The kinematics with delays of all joints but the one that moves the heights at times (m,), s,
-    fastest: the others' delays, and the clock's, are against its stamps, which tell most."""
+    fastest: the others' delays, and the clock's, are against its stamps, which tell most. As they
+    are where the joints that are delayed are given."""
     names = model.chain.joint_names
-    if DELAYS not in model.columns or len(names) < 2:
+    if model.delayed is not None or DELAYS not in model.columns or len(names) < 2:
         return model
     offsets = replace(model, unknown={JOINTS: 1.0})
     centres, slopes = offsets.centres(path, time, np.zeros(len(names)))

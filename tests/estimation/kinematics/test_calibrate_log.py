@@ -171,6 +171,8 @@ def test_heights_alone_find_a_late_joint(small):
     time, body = small.log.time[small.frames] - CLOCK, small.scene.body
     inside = path.covers(time)
     time, depth = time[inside], np.full(inside.sum(), 1e-3)
+    given = replace(model, delayed=("joint3",))
+    assert timed_by_the_fastest(given, path, time, body) is given
     model = timed_by_the_fastest(model, path, time, body)
     heights = Heights(model, path, time, body, small.scene.indenter.radius, depth)
     fit = heights.linearized(heights.fit())
