@@ -59,7 +59,8 @@ def other_contact(scene: Scene, left_out: dict[int, str]) -> str:
     if best is found[0]:
         return ""
     what = "a lighter force" if best.radius == found[0].radius else "another indenter"
-    return f"use {what}: {reach.recommendation(found)}, of the taxels, but for the arm"
+    found_words = reach.recommendation(found)
+    return f"use {what}: {found_words} (part of the taxels, without the limits of the arm)"
 
 
 def taxels_left_out(
