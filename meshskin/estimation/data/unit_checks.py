@@ -59,7 +59,7 @@ MAX_CORRUPT = 0.01
 numbers, but a wrong unit or a broken sensor, which the test of fit shows."""
 
 
-MAX_HOLLOWS = 0.2
+MAX_HOLLOWS = 0.05
 """Largest part of the contacts in hollows tighter than the indenter: creases of coarse meshes hold
 a few; more are a body that the indenter does not fit."""
 HOLLOW = 0.9

@@ -80,10 +80,11 @@ def test_a_few_tight_hollows_get_a_curvature_that_the_indenter_fits(contacts):
     hit = body.closest(points)
     assert without_hollows(hit, RADIUS) is hit
     tight = hit.curvature.copy()
-    tight[:100, 1] = -8548.0
+    some = len(tight) // 50
+    tight[:some, 1] = -8548.0
     few = without_hollows(replace(hit, curvature=tight), RADIUS)
-    np.testing.assert_allclose(few.curvature[:100, 1], -0.9 / RADIUS)
-    np.testing.assert_array_equal(few.curvature[100:], hit.curvature[100:])
-    tight[:300, 1] = -8548.0
+    np.testing.assert_allclose(few.curvature[:some, 1], -0.9 / RADIUS)
+    np.testing.assert_array_equal(few.curvature[some:], hit.curvature[some:])
+    tight[: 5 * some, 1] = -8548.0
     many = replace(hit, curvature=tight)
     assert without_hollows(many, RADIUS) is many
