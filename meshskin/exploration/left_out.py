@@ -59,8 +59,8 @@ def other_contact(scene: Scene, left_out: dict[int, str]) -> str:
     if best is found[0]:
         return ""
     what = "a lighter force" if best.radius == found[0].radius else "another indenter"
-    found_words = reach.recommendation(found)
-    return f"use {what}: {found_words} (part of the taxels, without the limits of the arm)"
+    words = reach.recommendation(found)
+    return f"use {what}: {words} (part of the taxels, without the limits of the arm)"
 
 
 def taxels_left_out(
