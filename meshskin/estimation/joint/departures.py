@@ -208,26 +208,30 @@ class FittedReadings:
 
 
 def _score(slope: Array, information: Array) -> tuple[float, float]:
-    """Score of q parameters together, as that of one that is as improbable, and the sign of the
-    first one's estimate; 0 where the readings determine none.
-
-    Source: Wilson and Hilferty, "The distribution of chi-square", Proceedings of the National
-    Academy of Sciences 17 (1931).
-    """
+    """Score of q parameters together, as `normal_score`, and the sign of the first one's estimate;
+    0 where the readings determine none."""
     seen = np.diag(information) > 0
     slope, information = slope[seen], information[np.ix_(seen, seen)]
-    count = len(slope)
-    if not count:
+    if not len(slope):
         return 0.0, 1.0
     scale = np.sqrt(np.diag(information))
     value, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     along = (vectors.T @ (slope / scale)) * (value > SEEN) / np.maximum(value, SEEN) ** 0.5
     square, estimate = float(along @ along), vectors @ (along / np.maximum(value, SEEN) ** 0.5)
-    sign = float(np.sign(estimate[0]) or 1.0)
+    return normal_score(square, len(slope)), float(np.sign(estimate[0]) or 1.0)
+
+
+def normal_score(square: float, count: int) -> float:
+    """Standard deviations of one parameter that are as improbable as a `square`, of the scores of
+    `count` parameters together.
+
+    Source: Wilson and Hilferty, "The distribution of chi-square", Proceedings of the National
+    Academy of Sciences 17 (1931); too small by 5 % at five standard deviations.
+    """
     if count == 1:
-        return square**0.5, sign
+        return square**0.5
     spread = 2 / (9 * count)
-    return float(((square / count) ** (1 / 3) - 1 + spread) / spread**0.5), sign
+    return float(((square / count) ** (1 / 3) - 1 + spread) / spread**0.5)
 
 
 def departure_scores(estimator: JointEstimator) -> dict[str, float]:

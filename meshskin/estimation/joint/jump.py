@@ -8,9 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...core.arrays import Array
-from .departures import MIN_SCORE, FittedReadings, fitted_readings
+from .departures import MIN_SCORE, FittedReadings, fitted_readings, normal_score
 from .joint_estimator import JointEstimator
 from .parametrization import SurfaceParametrization
 
@@ -44,17 +45,22 @@ class Jump:
         return {f"a jump of the contacts {where}": self.score}
 
 
-def largest_jump(fitted: FittedReadings) -> Jump:
-    """The most significant displacement of all contacts from one on."""
+def largest_jump(fitted: FittedReadings, places: ArrayLike | None = None) -> Jump:
+    """The most significant displacement of all contacts from one on; places: contacts at which it
+    may begin, by default PLACES."""
     m, best = len(fitted.data.points), Jump()
     moved = fitted.moved(np.broadcast_to(np.eye(3), (m, 3, 3)))
-    places = np.unique(np.linspace(0, m, PLACES + 2).astype(int)[1:-1])
-    for begin in places[places > 0]:  # from the first contact on all move: that is no jump
+    if places is None:
+        places = np.unique(np.linspace(0, m, PLACES + 2).astype(int)[1:-1])
+        places = places[places > 0]  # from the first contact on all move: that is no jump
+    for begin in np.asarray(places):
         slope, information = fitted.shared((fitted.readings.contact >= begin)[:, None] * moved)
         value, vectors = np.linalg.eigh(information)
         seen = value > MIN_SHOWN * max(float(value[-1]), 1e-300)
+        if not seen.any():
+            continue
         along, value, vectors = (vectors.T @ slope)[seen], value[seen], vectors[:, seen]
-        score = float(np.sqrt(np.sum(along**2 / value)))
+        score = normal_score(float(np.sum(along**2 / value)), len(value))
         if score > best.score:
             best = Jump(score, begin / m, vectors @ (along / value))
     return best
@@ -71,5 +77,6 @@ def jump_of(estimator: JointEstimator) -> Jump:
     found = largest_jump(fitted_readings(estimator, weight))
     if found.score <= MIN_SCORE:
         return found
-    whole = largest_jump(fitted_readings(estimator, np.ones_like(weight)))
+    place = round(found.part * len(estimator.data.points))
+    whole = largest_jump(fitted_readings(estimator, np.ones_like(weight)), [place])
     return replace(found, displacement=whole.displacement)

@@ -73,7 +73,7 @@ def estimate(data: Measurements, stage: Stage | None = None) -> EstimatorResult:
     """
     try:
         return _estimate(data, stage or Stage())
-    except SingularMatrixError as error:
+    except (SingularMatrixError, np.linalg.LinAlgError) as error:
         raise _unconverged(f"its normal equations are singular: {error}") from error
 
 

@@ -3,7 +3,9 @@
 from types import SimpleNamespace
 
 import numpy as np
+from scipy import stats
 
+from meshskin.estimation.joint.departures import normal_score
 from meshskin.estimation.joint.jump import largest_jump
 
 
@@ -30,3 +32,16 @@ def test_a_displacement_of_all_contacts_is_no_jump():
     """Of fewer contacts than places the first place was the first contact."""
     assert largest_jump(fitted(1, 0)).score == 0.0
     assert largest_jump(fitted(8, 0)).part > 0
+
+
+def test_the_score_of_several_directions_is_that_of_one_as_improbable():
+    """Beside the normal quantile of the chi-square distribution's tail."""
+    assert normal_score(9.0, 1) == 3.0
+    for square, count, off in ((4.0, 3, 0.01), (10.0, 3, 0.01), (20.0, 2, 0.04), (36.0, 3, 0.05)):
+        exact = stats.norm.isf(stats.chi2.sf(square, count))
+        assert abs(normal_score(square, count) - exact) < off * exact
+
+
+def test_a_jump_is_estimated_at_the_place_that_is_given():
+    found = largest_jump(fitted(160, 80), [120])
+    assert found.part == 0.75
