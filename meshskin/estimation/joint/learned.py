@@ -113,7 +113,8 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)
     jump = largest_jump(effects.fitted())
-    return replace(found, departures=departures | jump.departure, jump=jump.shown)
+    departures = {**departures, **found.departures, **jump.departure}
+    return replace(found, departures=departures, jump=jump.shown)
 
 
 def with_learned_response(data: Measurements, points: Array) -> Measurements:
