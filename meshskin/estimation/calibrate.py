@@ -125,6 +125,7 @@ class Estimation:
             fit=result.fit,
             response=result.response,
             contact_errors=result.contact_errors,
+            additions=result.additions,
             contact_centroids=trilaterate.centroids(coactivation.without_distant_readings(data)),
             belief=data.belief,
             iterates=result.iterates,
@@ -144,10 +145,7 @@ class Estimation:
         return replace(calibration, verdict=verdict, seconds=seconds)
 
     def joint(
-        self,
-        stage: Stage,
-        tolerance: float = NEWTON_TOLERANCE,
-        iterations: int = MAX_ITERATIONS,
+        self, stage: Stage, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS
     ) -> EstimatorResult:
         """Maximum likelihood over all readings; arguments as `calibrate`.
 
