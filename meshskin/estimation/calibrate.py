@@ -146,6 +146,7 @@ class Estimation:
             fit=result.fit,
             response=result.response,
             contact_errors=result.contact_errors,
+            additions=result.additions,
             contact_centroids=self._contact_centroids,
             belief=data.belief,
             iterates=result.iterates,
@@ -176,10 +177,7 @@ class Estimation:
         return digest(given.points, given.force, given.pressure)
 
     def joint(
-        self,
-        stage: Stage,
-        tolerance: float = NEWTON_TOLERANCE,
-        iterations: int = MAX_ITERATIONS,
+        self, stage: Stage, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS
     ) -> EstimatorResult:
         """Maximum likelihood over all readings; arguments as `calibrate`.
 
