@@ -64,6 +64,6 @@ def test_the_demonstration_needs_half_of_the_taxels(noisy):
     skin = ms.Skin(noisy.skin.poses[rows], np.arange(5), noisy.skin.disc_radius)
     between = skin.positions[:2].mean(axis=0)
     recording = ms.press(noisy.with_(skin=skin), np.tile(between, (4, 1)), seed=1)
-    with pytest.raises(CalibrationError, match="fewer than half .*, got 2 of 5"):
+    with pytest.raises(CalibrationError, match=r"fewer than half .*, got 2 of 5"):
         demonstrate(skin.poses, skin.ids, recording)
     assert len(demonstrate(skin.poses[:4], skin.ids[:4], recording).rows) == 2
