@@ -221,7 +221,7 @@ def _without_electronics(effects: RandomEffects) -> dict[str, Any]:
     """The readings (k,) of the recording without what hysteresis and crosstalk have added, and the
     threshold that all silent readings are below without it; by their names in Measurements."""
     pressure, readings = effects.data.pressure.copy(), effects.readings
-    added = effects.data.sigma * effects.added_by_electronics()
+    added = effects.data.sigma * effects.added_by(ELECTRONICS)
     recorded = readings.kind == OBSERVED
     pressure[readings.source[recorded]] -= added[recorded]
     lowered = -float(added[readings.kind == CENSORED].min(initial=0.0))

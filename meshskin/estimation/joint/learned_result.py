@@ -11,7 +11,7 @@ import numpy as np
 
 from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
-from ..data.global_parameters import MOTION
+from ..data.global_parameters import DEPARTURES, MOTION
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
     CENSORING,
@@ -125,9 +125,19 @@ def learned_result(
         departures=shared_by_contacts.departure,
         response=response,
         contact_errors=u.errors,
+        additions=_additions(effects, live),
         iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
         seconds={"joint": time.perf_counter() - clock},
     )
+
+
+def _additions(effects: RandomEffects, live: np.ndarray) -> Array | None:
+    """As `EstimatorResult.additions`; live: rows of the taxels."""
+    p, readings = effects.data.parameters, effects.readings
+    if not {*DEPARTURES} & {*p.names, *p.nuisance_names}:
+        return None
+    added = effects.data.sigma * effects.added_by(DEPARTURES)
+    return np.column_stack([readings.contact, live[readings.taxel], added])
 
 
 def _fit(effects: RandomEffects) -> GoodnessOfFit:
