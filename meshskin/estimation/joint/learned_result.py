@@ -37,6 +37,7 @@ from .residual_correlations import shared_errors
 from .rival_optima import RivalOptima
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
+SHARED_ERRORS = "errors that readings of contacts near one another {} share"
 FALLING = "the recorded readings fall with pressure: they were turned"
 NOT_SEPARABLE = 0.9
 """Standard deviation, relative to that of its prior, from which a parameter rests on its prior."""
@@ -78,8 +79,10 @@ def learned_result(
     apart = np.einsum("kij,ki->kj", rotations[:, :, :2], apart)
     tangential = scale * covariance[:, :2, :2] + apart[:, :, None] * apart[:, None, :]
     fitted = effects.fitted()
-    shared_by_contacts = shared_errors(fitted)
-    tangential += _leaks(effects) + shared_by_contacts.covariances(fitted)
+    errors = shared_errors(fitted)
+    added = errors.covariances(fitted)
+    departures = errors.beyond(added, tangential)
+    tangential += _leaks(effects) + added
     lost, reasons = estimator.broken, reasons.copy()
     reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
     infinite = np.diag([np.inf, np.inf])
@@ -105,6 +108,7 @@ def learned_result(
             *response.describe(),
             *((CENSORING,) if (effects.readings.kind == CENSORED).any() else ()),
             SURFACE,
+            *((SHARED_ERRORS.format(errors.where),) if added.any() else ()),
             *((MISFITTING.format(len(data.misfitting)),) if len(data.misfitting) else ()),
         ),
         unknowns=_shared_values(effects, scale * shared),
@@ -122,7 +126,7 @@ def learned_result(
         faults=faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
-        departures=shared_by_contacts.departure,
+        departures=departures,
         response=response,
         contact_errors=u.errors,
         additions=_additions(effects, live),
