@@ -23,7 +23,7 @@ from ..result import (
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
-from .contact_correlations import alike_forces, fewer_contacts, neighbour_correlation
+from .contact_correlations import fewer_contacts, neighbour_correlation, shared_errors
 from .creep import TIME
 from .electronics import WIDTH
 from .joint_estimator import JointEstimator
@@ -70,7 +70,7 @@ def learned_result(
     fit = _fit(effects)
     response = learned_response(effects, shared)
     scale = max(fit.reduced, 1.0) if fit.good is False else 1.0
-    scale *= fewer_contacts(response.contact_correlation) * response.alike_contacts
+    scale = max(scale, fewer_contacts(response.contact_correlation), response.alike_contacts)
     points, rotations = u.parametrization.points(), u.parametrization.rotations()
     apart = np.nan_to_num(rivals.points - points)
     apart = np.einsum("kij,ki->kj", rotations[:, :, :2], apart)
@@ -198,7 +198,7 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
     level = np.linspace(0.0, peak, SAMPLES)
     c = columns["compression"].start
     nominal = data.nominal_peak * data.unit
-    force_correlation, alike = alike_forces(effects)
+    shared = shared_errors(effects)
     return LearnedResponse(
         distance=u * radius,
         profile=peak * (model + correction),
@@ -210,8 +210,8 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
         contact_scatter=effects.deviations.position,
         contact_correlation=neighbour_correlation(effects),
         force_scatter=effects.deviations.force,
-        force_correlation=force_correlation,
-        alike_contacts=alike,
+        alike_contacts=shared.factor,
+        alike_parts=shared.parts,
         noise=effects.deviations.noise * data.sigma * data.unit,
         noise_relative=effects.deviations.relative,
         coefficients=s[at],
