@@ -107,6 +107,9 @@ def summary(result: Result, folder: Path) -> str:
     m, calibration = result.metrics, result.calibration
     error, bound, force = m["position_error_mm"], m["crlb_mm"], m["force"]
     found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
+    settled = f"settled in {1e3 * force['settling_s']:.0f} ms"
+    if math.isinf(force["settling_s"]):
+        settled = "not settled before the contact point moved"
     lines = [
         *filter(None, [force.get("departure"), m.get("budget", {}).get("above")]),
         *([str(calibration.verdict)] if calibration.verdict is not None else []),
@@ -131,8 +134,8 @@ def summary(result: Result, folder: Path) -> str:
             if m["worse_than_centroid"]
             else []
         ),
-        f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N, settled in "
-        f"{1e3 * force['settling_s']:.0f} ms, overshoot {100 * force['overshoot']:.1f} %, then "
+        f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N, {settled}, "
+        f"overshoot {100 * force['overshoot']:.1f} %, then "
         + (
             "left its reference: see above"
             if "departure" in force

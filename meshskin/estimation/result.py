@@ -217,6 +217,9 @@ class EstimatorResult:
     contact_errors: Array | None = None
     """Estimated errors (m, 3) of the contacts, where the response was learned, as
     `Measurements.contact_errors`."""
+    additions: Array | None = None
+    """Rows (k, 3) of contact, row of the taxel, and what hysteresis, creep, crosstalk and drifts
+    add to its reading there, Pa; None without these."""
     restarted: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Rows of taxels that were started again from the centroid of their contacts."""
     seconds: Mapping[str, float] = field(default_factory=dict)

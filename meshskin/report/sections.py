@@ -321,8 +321,9 @@ def _force(data: ReportData) -> list[str]:
     if not force:
         return []
     notes = [f"reference {compact(force['reference_n'])} N"] if "reference_n" in force else []
-    if force.get("settling_s") is not None:
-        notes.append(f"settled in {compact(force['settling_s'] * 1e3)} ms")
+    if (seconds := force.get("settling_s")) is not None:
+        settles = f"settled in {compact(seconds * 1e3)} ms"
+        notes.append(settles if np.isfinite(seconds) else "not settled before it slides")
     if force.get("overshoot") is not None:
         over = 100 * force["overshoot"]
         notes.append(f"overshoot {over:.1f} %" if over >= 0.05 else "no overshoot")

@@ -121,7 +121,8 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)
     jump = largest_jump(effects.fitted())
-    return replace(found, departures=departures | jump.departure, jump=jump.shown)
+    departures = {**departures, **found.departures, **jump.departure}
+    return replace(found, departures=departures, jump=jump.shown)
 
 
 def with_learned_response(data: Measurements, points: Array) -> Measurements:
@@ -226,7 +227,7 @@ def _without_electronics(effects: RandomEffects) -> dict[str, Any]:
     """The readings (k,) of the recording without what hysteresis and crosstalk have added, and the
     threshold that all silent readings are below without it; by their names in Measurements."""
     pressure, readings = effects.data.pressure.copy(), effects.readings
-    added = effects.data.sigma * effects.added_by_electronics()
+    added = effects.data.sigma * effects.added_by(ELECTRONICS)
     recorded = readings.kind == OBSERVED
     pressure[readings.source[recorded]] -= added[recorded]
     lowered = -float(added[readings.kind == CENSORED].min(initial=0.0))

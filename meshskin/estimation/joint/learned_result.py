@@ -11,7 +11,7 @@ import numpy as np
 
 from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
-from ..data.global_parameters import MOTION
+from ..data.global_parameters import DEPARTURES, MOTION
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
     CENSORING,
@@ -32,6 +32,7 @@ from .noise import neighbours
 from .null_space import undetermined_motion
 from .pressure import CENSORED, OBSERVED, disc_means
 from .random_effects import RandomEffects
+from .residual_correlations import shared_errors
 from .rival_optima import RivalOptima
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
@@ -75,7 +76,9 @@ def learned_result(
     apart = np.nan_to_num(rivals.points - points)
     apart = np.einsum("kij,ki->kj", rotations[:, :, :2], apart)
     tangential = scale * covariance[:, :2, :2] + apart[:, :, None] * apart[:, None, :]
-    tangential += _leaks(effects)
+    fitted = effects.fitted()
+    shared_by_contacts = shared_errors(fitted)
+    tangential += _leaks(effects) + shared_by_contacts.covariances(fitted)
     lost, reasons = estimator.broken, reasons.copy()
     reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
     infinite = np.diag([np.inf, np.inf])
@@ -117,11 +120,22 @@ def learned_result(
         faults=faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
+        departures=shared_by_contacts.departure,
         response=response,
         contact_errors=u.errors,
+        additions=_additions(effects, live),
         iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
         seconds={"joint": time.perf_counter() - clock},
     )
+
+
+def _additions(effects: RandomEffects, live: np.ndarray) -> Array | None:
+    """As `EstimatorResult.additions`; live: rows of the taxels."""
+    p, readings = effects.data.parameters, effects.readings
+    if not {*DEPARTURES} & {*p.names, *p.nuisance_names}:
+        return None
+    added = effects.data.sigma * effects.added_by(DEPARTURES)
+    return np.column_stack([readings.contact, live[readings.taxel], added])
 
 
 def _fit(effects: RandomEffects) -> GoodnessOfFit:

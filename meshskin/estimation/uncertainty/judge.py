@@ -137,7 +137,7 @@ def _departures(
         f"standard deviations, limit {MIN_SCORE:g})"
     )
     if calibration.fit is not None and calibration.fit.good is not False:
-        words += ": its standard deviations are too small"
+        words += ": its standard deviations can be too small"
     if calibration.response is None and data.belief.module_slots is None:
         words += '; let it learn the response: contact="auto" or "learned"'
     return [(DOUBT, words)]
