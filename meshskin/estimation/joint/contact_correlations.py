@@ -55,7 +55,7 @@ KINDS = ("contact points", "forces", "readings")
 
 
 @dataclass(frozen=True)
-class SharedErrors:
+class AlikeErrors:
     """Errors that neighbouring contacts share."""
 
     factor: float = 1.0
@@ -88,10 +88,10 @@ def neighbour_correlation(effects: RandomEffects) -> float:
     return float(np.sum(moved * moved[nearest])) / power if power > 0 else 0.0
 
 
-def shared_errors(effects: RandomEffects) -> SharedErrors:
+def alike_errors(effects: RandomEffects) -> AlikeErrors:
     """What fields of errors, correlated over `LENGTH`, add to the taxels' variances."""
     if int(effects.probes.touched.sum()) < MIN_CONTACTS:
-        return SharedErrors()
+        return AlikeErrors()
     correlograms = _Correlograms(effects)
     seen = correlograms.of(effects.unknowns.errors[..., None], effects.residuals()[:, None])[:, 0]
     drawn = [
@@ -107,10 +107,10 @@ def shared_errors(effects: RandomEffects) -> SharedErrors:
         weight, misfit = nnls(mean / sigma[:, None], seen / sigma)
     white = nnls(mean[:, :3] / sigma[:, None], seen / sigma)[1]
     if white**2 - misfit**2 < MIN_GAIN:
-        return SharedErrors()
+        return AlikeErrors()
     parts = (weight * added)[3:]
     factor = 1.0 + float((weight - believed) @ added)
-    return SharedErrors(max(factor, 1.0), tuple(map(float, parts)))
+    return AlikeErrors(max(factor, 1.0), tuple(map(float, parts)))
 
 
 def _tangents(effects: RandomEffects) -> Array:

@@ -237,6 +237,8 @@ def _without_electronics(effects: RandomEffects) -> dict[str, Any]:
 def _lacks(effects: RandomEffects, frozen: JointEstimator) -> bool:
     """Whether the readings within the learned reach, which `frozen` has, are more than those within
     the believed one: without them these would seem outlying in all taxels."""
+    if effects.electronics is not None:  # far readings are those that hysteresis leaves
+        return False
     there = [np.sum(x.kind == OBSERVED) for x in (effects.readings, frozen.likelihood.readings)]
     return bool(there[1] > (1 + MAX_LACKING) * there[0])
 
@@ -255,7 +257,7 @@ def _restarted(effects: RandomEffects, estimator: JointEstimator) -> RandomEffec
     assert isinstance(parametrization, SurfaceParametrization)
     points, normals = parametrization.points(), parametrization.rotations()[:, :, 2]
     weight = np.where(estimator.weight < 0.5, 0.0, 1.0)
-    reach = estimator.selected_at[2]
+    reach = estimator.selected_at[2] if effects.electronics is None else 0.0
     readings = select(data, estimator.live, points, normals, reach, weight, estimator.silent_weight)
     return RandomEffects(
         data, readings, replace(u, parametrization=parametrization), effects.deviations,
