@@ -6,7 +6,6 @@ import argparse
 import math
 from collections import Counter
 from pathlib import Path
-from time import perf_counter, process_time
 from typing import TYPE_CHECKING
 
 from ..core.errors import ConfigError
@@ -23,9 +22,6 @@ if TYPE_CHECKING:
     from ..scene.scene import Scene
 
     Watch = Callable[[Scene, Recording, Calibration], None]
-
-STARTED = 0.17
-"""Usual processor time, s, of the interpreter and of the command line until a command begins."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -72,12 +68,14 @@ def command(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
     """Run the scene and print the summary; watch: as of `pipeline.run`."""
-    from ..core.deadline import check_run_seconds
+    from ..core.deadline import LEAST_SECONDS, check_run_seconds, command_began, crowding
+
+    began = command_began()
+    if options.seconds is not None:  # before the packages, which take half of the least time
+        check_run_seconds(options.seconds, LEAST_SECONDS * crowding(began))
     from ..core.provenance import StageTimer
 
-    if options.seconds is not None:
-        check_run_seconds(options.seconds)
-    timer = StageTimer(start=(perf_counter() - STARTED, process_time() - STARTED))  # imports count
+    timer = StageTimer(start=began)  # imports count
     from ..pipeline import run
     from ..study.sensitivity.request import Request
 

@@ -16,6 +16,10 @@ MOSTLY_OUTLIERS = "most of its readings are outlying"
 """Reason of a taxel whose estimate is dropped; its fault says what was found."""
 RIVAL = "a second position {:.2g} mm away fits nearly as well"
 """Fault of a taxel whose readings have two optima."""
+MISFITTING = (
+    "without {} contacts whose readings fit no others: bumps, jumps of the curvature, wrong points"
+)
+"""Factor of an estimate that some contacts were left out of."""
 CENSORING = "silent readings, censored at the threshold"
 """Factor of an estimate with known noise."""
 CONTACT_POINTS = (

@@ -67,7 +67,7 @@ METRIC_NOTES = {
 
 def content(data: ReportData, pictures: Sequence[SavedFigure]) -> Content:
     """The whole page."""
-    scene = data.provenance.get("scene") or _metadata(data).get("scene")
+    scene = data.provenance.get("scene") or _metadata(data).get("scene") or data.calibration.frame
     created = _format_time(str(data.provenance.get("created", "")))
     kind = "simulation with known truth" if data.truth is not None else "recording"
     verdict = data.calibration.verdict

@@ -35,7 +35,7 @@ from .jump import largest_jump
 from .learned_modules import moved_to_modules
 from .learned_result import learned_result
 from .likelihood import Likelihood, Readings, select
-from .outlier_rejection import reject_outliers
+from .outlier_rejection import displaced_contacts, reject_outliers
 from .parametrization import SurfaceParametrization, Unknowns
 from .pressure import CENSORED, OBSERVED
 from .random_effects import RandomEffects
@@ -90,7 +90,7 @@ def _unconverged(value: str) -> CalibrationError:
 
 def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     """As `estimate`; SingularMatrixError where normal equations are singular."""
-    clock = time.perf_counter()
+    clock, recorded = time.perf_counter(), data
     stuck = fault_detection.stuck_taxels(data)
     # readings far from the contacts, such as those that hysteresis leaves, do not tell the place
     data = coactivation.without_distant_readings(data)
@@ -105,6 +105,8 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
         effects = _restarted(effects, frozen)
         effects.converge()
         frozen = _frozen(effects, live, weight)
+    if len(bad := displaced_contacts(effects)) and not len(recorded.misfitting):
+        return _estimate(recorded.without_contacts(bad), stage)
     for repeated in range(MAX_ROUNDS):
         estimator = reject_outliers(_frozen(effects, live, weight) if repeated else frozen)
         rivals = resolve_rivals(estimator)

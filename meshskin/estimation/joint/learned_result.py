@@ -15,6 +15,7 @@ from ..data.global_parameters import DEPARTURES, MOTION
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
     CENSORING,
+    MISFITTING,
     MOSTLY_OUTLIERS,
     RIVAL,
     SURFACE,
@@ -107,6 +108,7 @@ def learned_result(
             *response.describe(),
             *((CENSORING,) if (effects.readings.kind == CENSORED).any() else ()),
             SURFACE,
+            *((MISFITTING.format(len(data.misfitting)),) if len(data.misfitting) else ()),
         ),
         unknowns=_shared_values(effects, scale * shared),
         undetermined=_not_separable(effects, shared),
