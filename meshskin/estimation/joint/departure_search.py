@@ -144,7 +144,7 @@ def _objective(effects: RandomEffects) -> float:
     spread = effects.spread[effects.readings.kind == OBSERVED]
     taxel, contact, shared = (np.log(p[p > 0]).sum() for p in effects.prior)
     count = len(effects.unknowns.nuisance), len(effects.unknowns.errors)
-    system, _, decrease = effects.solution()
+    system, _, decrease = effects.system().newton_step()
     volume = system.log_determinant() - count[0] * taxel - count[1] * contact - shared
     return effects.cost() - decrease + float(np.log(spread).sum() + volume / 2)
 

@@ -115,7 +115,7 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
         weight = estimator.weight
         effects = _restarted(effects, estimator)
         effects.converge()
-    if (decrease := effects.solution()[2]) > MAX_DECREASE * len(effects.mu):
+    if (decrease := effects.system().newton_step()[2]) > MAX_DECREASE * len(effects.mu):
         raise _unconverged(f"steps still decrease the cost by {decrease:.3g}")
     if wild := [name for name in ELECTRONICS if not plausible(effects, name)]:
         raise _unconverged(f"implausible {', '.join(wild)}")
