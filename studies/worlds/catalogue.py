@@ -80,6 +80,7 @@ def catalogue() -> dict[str, World]:
         "force_nominal": World(hertz, nominal_force=True),
         "scatter_03": World(hertz, scatter=0.3e-3),
         "scatter_10": World(hertz, scatter=1e-3),
+        "strays": World(hertz, Electronics(gain=0.1), strays=0.05),
         "hysteresis": World(hertz, Electronics(hysteresis=0.5)),
         "together": World(hertz, together, scatter=0.3e-3, force_error=0.1),
         "uneven_05": World(hertz, uneven=0.05),

@@ -22,7 +22,7 @@ from ...core.errors import CalibrationError
 from ...core.progress import Stage
 from .. import chart
 from ..data.measurements import Measurements
-from ..result import CENSORING, MOSTLY_OUTLIERS, RIVAL, SURFACE, EstimatorResult
+from ..result import CENSORING, MISFITTING, MOSTLY_OUTLIERS, RIVAL, SURFACE, EstimatorResult
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .departures import departure_scores, fitted_readings
@@ -53,8 +53,6 @@ WIDENED = (
 )
 """Factor of an estimate whose test of fit fails."""
 ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring contacts"
-MISFITTING = "without {} contacts whose readings fit no others: bumps, jumps of the curvature"
-"""Factor of an estimate that some contacts were left out of."""
 USUAL_STEPS = 4
 """Usual steps of an estimate: the start, two linearizations, and a search for second optima."""
 RADIUS_TOLERANCE = 0.03

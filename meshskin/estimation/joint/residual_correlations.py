@@ -20,7 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.arrays import Array
-from .departures import MIN_SCORE, FittedReadings
+from .departures import FittedReadings
+from .noise import clear_of_limits
 from .pressure import OBSERVED
 
 SPANS = (10.0, 100.0, 1000.0)
@@ -29,6 +30,8 @@ WIDTHS = (0.25, 0.5, 1.0)
 """Lengths in place that are tried, in reaches of a contact."""
 MAX_TAXELS, MAX_READINGS = 100, 60
 """Taxels, and readings of each, that are compared: more change the scores little."""
+LEAST_SCORE = 4.0
+"""Score, in standard deviations, from which covariances are widened: 2e-4 by chance, of six."""
 SPARE = 3
 """Readings of a taxel, at least, beyond its own unknowns: fewer have hardly residuals."""
 START, MAX_RATIO = 0.3, 100.0
@@ -59,7 +62,7 @@ class SharedErrors:
     def covariances(self, fitted: FittedReadings) -> Array:
         """What shared errors add to the tangential covariances (n, 2, 2), m^2."""
         found = np.zeros((len(fitted.points), 2, 2))
-        if self.score <= MIN_SCORE:
+        if self.score <= LEAST_SCORE:
             return found
         for taxel, rows, own in _taxels(fitted, np.arange(len(found))):
             gain = np.linalg.pinv(own.T @ own + np.diag(fitted.prior))[:2] @ own.T
@@ -91,7 +94,7 @@ def shared_errors(fitted: FittedReadings) -> SharedErrors:
     noise = (square / sum(free.shape[1] for _, _, free, _ in samples)) ** 0.5
     samples = [(contact, place, free, r / noise) for contact, place, free, r in samples]
     score = max(_score(samples, kernel) for _, kernel in kernels)
-    if score <= MIN_SCORE:
+    if score <= LEAST_SCORE:
         return SharedErrors(score, *kernels[0], np.zeros(1))
     best = np.inf
     for where, kernel in kernels:
@@ -106,6 +109,8 @@ def _taxels(fitted: FittedReadings, taxels: np.ndarray) -> Iterator[tuple[int, n
     derivatives (q, D) of these, in standard deviations, in its own unknowns."""
     readings = fitted.readings
     counts = (readings.kind == OBSERVED) & (readings.weight > 0.5) & (fitted.curvature > 0)
+    noise = 1 / np.sqrt(np.maximum(fitted.curvature, 1e-300))
+    counts &= clear_of_limits(fitted.mu, fitted.data, noise)  # others are chosen by their errors
     for taxel in taxels:
         rows = np.arange(*readings.starts[taxel : taxel + 2])
         rows = rows[counts[rows]]

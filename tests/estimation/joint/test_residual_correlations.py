@@ -44,10 +44,13 @@ def fitted(rng, errors=lambda contact, place: 0.0, noise=NOISE):
         contact=contact, taxel=taxel, kind=np.full(len(taxel), OBSERVED),
         weight=np.ones(len(taxel)), starts=np.searchsorted(taxel, np.arange(65)),
     )  # fmt: skip
-    data = SimpleNamespace(points=points, reach=lambda: np.full(len(points), 2 * WIDTH))
+    data = SimpleNamespace(
+        points=points, reach=lambda: np.full(len(points), 2 * WIDTH),
+        sigma=1.0, threshold=-np.inf, saturation=np.inf,
+    )  # fmt: skip
     found = SimpleNamespace(
         data=data, readings=readings, points=taxels, tangents=tangents, own=own,
-        rate=-residual, curvature=np.ones(len(taxel)), prior=np.zeros(3),
+        mu=np.zeros(len(taxel)), rate=-residual, curvature=np.ones(len(taxel)), prior=np.zeros(3),
     )  # fmt: skip
     return found, wrong
 
