@@ -61,6 +61,9 @@ USUAL_STEPS = 30
 LEVEL_SAMPLE = 1000
 """Taxels and contacts, about, whose mean level the compression refers to: more change it by less
 than a hundredth."""
+MAX_LACKING = 0.02
+"""Fraction of readings beyond the believed reach from which they are selected anew: a Hertz world
+has less, a cover with readings to the power 0.6 a fourth."""
 MOVED = 0.02
 """Move of a taxel, in contact radii, from which it is at another optimum."""
 
@@ -97,10 +100,15 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     effects = _begin(with_learned_response(data, start.points), live, start, stage)
     weight = np.ones(len(data.pressure))
     effects, departures = with_departures(effects)
+    frozen = _frozen(effects, live, weight)
+    if _lacks(effects, frozen):
+        effects = _restarted(effects, frozen)
+        effects.converge()
+        frozen = _frozen(effects, live, weight)
     if len(bad := displaced_contacts(effects)) and not len(recorded.misfitting):
         return _estimate(recorded.without_contacts(bad), stage)
-    for _ in range(MAX_ROUNDS):
-        estimator = reject_outliers(_frozen(effects, live, weight))
+    for repeated in range(MAX_ROUNDS):
+        estimator = reject_outliers(_frozen(effects, live, weight) if repeated else frozen)
         rivals = resolve_rivals(estimator)
         if not _changed(effects, estimator, weight):
             break
@@ -228,6 +236,15 @@ def _without_electronics(effects: RandomEffects) -> dict[str, Any]:
     return {"pressure": pressure, "threshold": effects.data.threshold + lowered}
 
 
+def _lacks(effects: RandomEffects, frozen: JointEstimator) -> bool:
+    """Whether the readings within the learned reach, which `frozen` has, are more than those within
+    the believed one: without them these would seem outlying in all taxels."""
+    if effects.electronics is not None:  # far readings are those that hysteresis leaves
+        return False
+    there = [np.sum(x.kind == OBSERVED) for x in (effects.readings, frozen.likelihood.readings)]
+    return bool(there[1] > (1 + MAX_LACKING) * there[0])
+
+
 def _changed(effects: RandomEffects, estimator: JointEstimator, weight: Array) -> bool:
     """Whether taxels have moved to other optima, or readings were left out."""
     moved = estimator.problem.points(estimator.state) - effects.unknowns.parametrization.points()
@@ -242,7 +259,8 @@ def _restarted(effects: RandomEffects, estimator: JointEstimator) -> RandomEffec
     assert isinstance(parametrization, SurfaceParametrization)
     points, normals = parametrization.points(), parametrization.rotations()[:, :, 2]
     weight = np.where(estimator.weight < 0.5, 0.0, 1.0)
-    readings = select(data, estimator.live, points, normals, 0.0, weight, estimator.silent_weight)
+    reach = estimator.selected_at[2] if effects.electronics is None else 0.0
+    readings = select(data, estimator.live, points, normals, reach, weight, estimator.silent_weight)
     return RandomEffects(
         data, readings, replace(u, parametrization=parametrization), effects.deviations,
         stage=effects.stage,

@@ -24,7 +24,7 @@ from ..result import (
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
-from .contact_correlations import alike_forces, fewer_contacts, neighbour_correlation
+from .contact_correlations import alike_errors, fewer_contacts, neighbour_correlation
 from .creep import TIME
 from .electronics import WIDTH
 from .joint_estimator import JointEstimator
@@ -71,15 +71,18 @@ def learned_result(
         raise SingularMatrixError(int(np.argmin(variances.min(axis=1))))
     fit = _fit(effects)
     response = learned_response(effects, shared)
-    scale = max(fit.reduced, 1.0) if fit.good is False else 1.0
-    scale *= fewer_contacts(response.contact_correlation) * response.alike_contacts
+    misfit = max(fit.reduced, 1.0) if fit.good is False else 1.0
+    scale = max(misfit, fewer_contacts(response.contact_correlation), response.alike_contacts)
     points, rotations = u.parametrization.points(), u.parametrization.rotations()
     apart = np.nan_to_num(rivals.points - points)
     apart = np.einsum("kij,ki->kj", rotations[:, :, :2], apart)
-    tangential = scale * covariance[:, :2, :2] + apart[:, :, None] * apart[:, None, :]
     fitted = effects.fitted()
     shared_by_contacts = shared_errors(fitted)
-    tangential += _leaks(effects) + shared_by_contacts.covariances(fitted)
+    tangential = _larger(
+        scale * covariance[:, :2, :2],
+        misfit * covariance[:, :2, :2] + shared_by_contacts.covariances(fitted),
+    )
+    tangential += _leaks(effects) + apart[:, :, None] * apart[:, None, :]
     lost, reasons = estimator.broken, reasons.copy()
     reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
     infinite = np.diag([np.inf, np.inf])
@@ -129,6 +132,13 @@ def learned_result(
         iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
         seconds={"joint": time.perf_counter() - clock},
     )
+
+
+def _larger(first: Array, second: Array) -> Array:
+    """Of two covariances (n, 2, 2) of each taxel the larger one: displacements of the contacts show
+    in the residuals, too, and are not counted twice."""
+    traces = (np.trace(x, axis1=1, axis2=2) for x in (first, second))
+    return np.asarray(np.where(np.greater(*traces)[:, None, None], first, second))
 
 
 def _additions(effects: RandomEffects, live: np.ndarray) -> Array | None:
@@ -214,7 +224,7 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
     level = np.linspace(0.0, peak, SAMPLES)
     c = columns["compression"].start
     nominal = data.nominal_peak * data.unit
-    force_correlation, alike = alike_forces(effects)
+    alike = alike_errors(effects)
     return LearnedResponse(
         distance=u * radius,
         profile=peak * (model + correction),
@@ -226,8 +236,8 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
         contact_scatter=effects.deviations.position,
         contact_correlation=neighbour_correlation(effects),
         force_scatter=effects.deviations.force,
-        force_correlation=force_correlation,
-        alike_contacts=alike,
+        alike_contacts=alike.factor,
+        alike_parts=alike.parts,
         noise=effects.deviations.noise * data.sigma * data.unit,
         noise_relative=effects.deviations.relative,
         coefficients=s[at],

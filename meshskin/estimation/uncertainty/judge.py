@@ -88,7 +88,7 @@ def judge(
         lambda: weighted_means.findings(data, calibration),
         lambda: verdict.forces(recording, calibration),
         lambda: verdict.force_offset(data, calibration),
-        lambda: verdict.stiffness(calibration),
+        lambda: verdict.alike(calibration),
         lambda: verdict.profile(calibration),
         lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
