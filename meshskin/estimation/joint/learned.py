@@ -85,9 +85,10 @@ def _unconverged(value: str) -> CalibrationError:
     )
 
 
-def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
-    """As `estimate`; SingularMatrixError where normal equations are singular."""
-    clock = time.perf_counter()
+def _estimate(data: Measurements, stage: Stage, excluded: tuple[str, ...] = ()) -> EstimatorResult:
+    """As `estimate`; SingularMatrixError where normal equations are singular. excluded: departures
+    that are not estimated, as without outlying readings they came out implausible."""
+    given, clock = data, time.perf_counter()
     stuck = fault_detection.stuck_taxels(data)
     # readings far from the contacts, such as those that hysteresis leaves, do not tell the place
     data = coactivation.without_distant_readings(data)
@@ -96,7 +97,7 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     stage.expect(USUAL_STEPS)
     effects = _begin(with_learned_response(data, start.points), live, start, stage)
     weight = np.ones(len(data.pressure))
-    effects, departures = with_departures(effects)
+    effects, departures = with_departures(effects, excluded)
     for _ in range(MAX_ROUNDS):
         estimator = reject_outliers(_frozen(effects, live, weight))
         rivals = resolve_rivals(estimator)
@@ -108,7 +109,9 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     if (decrease := effects.solution()[2]) > MAX_DECREASE * len(effects.mu):
         raise _unconverged(f"steps still decrease the cost by {decrease:.3g}")
     if wild := [name for name in ELECTRONICS if not plausible(effects, name)]:
-        raise _unconverged(f"implausible {', '.join(wild)}")
+        if excluded:
+            raise _unconverged(f"implausible {', '.join(wild)}")
+        return _estimate(given, stage, tuple(wild))
     found = learned_result(effects, estimator, rivals, reasons, clock)
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)
