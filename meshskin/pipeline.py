@@ -271,7 +271,7 @@ def _assess(
         "modulus_pa": calibration.modulus,
         "modulus_sigma_pa": calibration.modulus_sigma,
         "response": None if calibration.response is None else calibration.response.metrics(),
-        "force": _force_metrics(force, describe_departure(motion) if motion else ""),
+        "force": _force_metrics(force, describe_departure(recording)),
         "demonstration_mm": None if demonstration is None else 1e3 * demonstration.mean_error,
         "steps": motion.num_rows if motion else 0,
         "steps_per_second": recording.metadata.get("steps_per_second"),

@@ -77,8 +77,9 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     data = ReportData(calibration, truth=scene.skin, demonstration=shown)
     assert data.iterations is not None
     theme.save(maps.estimates(data), options.out, "fig5")
-    for k, name in enumerate(("fig6", "fig7", "fig8")):
-        theme.save(maps.iterations(data.iterations, data.plane, k), options.out, name)
+    iterations = maps.iterations(data.iterations, data.plane)
+    theme.save(iterations, options.out, "fig6-8")
+    theme.save_panels(iterations, options.out, ("fig6", "fig7", "fig8"))
 
     pairs = demonstration.coactive_pairs(recording, scene.skin.ids)
     swept = demonstration.noise_sweep(scene.skin.poses, pairs, LEVELS, seeds)

@@ -1,14 +1,19 @@
-"""Joins the chunks of a stream of a notebook as they are.
+"""Joins the chunks of a stream of a notebook as they are, and shows warnings without the file of
+their cell, which is the kernel's own.
 
 The output of a command (%%bash) comes in chunks. myst-nb (1.4) ends each with a new line, which
 breaks lines in the middle.
 """
+
+import re
 
 from myst_nb.core import render
 from nbformat import NotebookNode
 from sphinx.application import Sphinx
 
 coalesce = render.coalesce_streams
+CELL = re.compile(r"^\S*ipykernel_\d+\S*:\d+: ", re.MULTILINE)
+"""Place of a warning in a cell."""
 
 
 def joined(outputs: list[NotebookNode]) -> list[NotebookNode]:
@@ -22,6 +27,8 @@ def joined(outputs: list[NotebookNode]) -> list[NotebookNode]:
         kept.append(output)
         if output["output_type"] == "stream":
             streams[output["name"]] = output
+    for output in streams.values():
+        output["text"] = CELL.sub("", output["text"])
     return coalesce(kept)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..core.errors import ConfigError, MeshError, SkinError
 from . import body_options
+from .progress_bar import bar
 
 if TYPE_CHECKING:
     from ..exploration.reach import Reach
@@ -79,9 +80,10 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
 
     units, why = _units(options)
     options.units = units
-    body = _body(options)
+    body, opened = _body(options)
     whole = int(body.mesh.area / (math.sqrt(0.75) * SPACING**2))
-    found = reach(body, RADII)
+    with bar(quiet=False) as progress:
+        found = reach(body, RADII, progress=progress)
     best = recommended(found)
     where = os.path.relpath(options.file.resolve(), out.resolve().parent)
     lines = [
@@ -91,11 +93,7 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
         "[body]",
         f"mesh = {json.dumps(Path(where).as_posix())}",
         *([f"units = {json.dumps(units)}  # {why}"] if units else []),
-        *(
-            ["open = true  # the mesh has borders: meshskin check lists them"]
-            if options.open
-            else []
-        ),
+        *([f"open = true  # {opened}"] if options.open else []),
         *_urdf(options),
         "",
         "[skin]",
@@ -154,15 +152,17 @@ def _units(options: argparse.Namespace) -> tuple[str | None, str]:
     )  # fmt: skip
 
 
-def _body(options: argparse.Namespace) -> Body:
-    """The body, opened where it has borders only. Raises MeshError."""
+def _body(options: argparse.Namespace) -> tuple[Body, str]:
+    """The body, opened where it is refused only, and why it is. Raises MeshError."""
+    if options.open:
+        return body_options.load(options.file, options), "as asked"
     try:
-        return body_options.load(options.file, options)
-    except MeshError:
-        if options.open:
-            raise
+        return body_options.load(options.file, options), ""
+    except MeshError as error:
         options.open = True
-        return body_options.load(options.file, options)
+        return body_options.load(
+            options.file, options
+        ), f"{error.what.partition(' (')[0]}: see meshskin check"
 
 
 def _count(body: Body, whole: int) -> int:

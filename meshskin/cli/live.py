@@ -7,7 +7,7 @@ is estimated on the way.
 
 Contacts that follow from joint angles, and the response of raw readings (--raw), are learned first,
 from the whole log as `meshskin calibrate` does; the replay then estimates the taxels anew, with
-these as known.
+these as known. At the end the page shows the calibration of all contacts together.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.arguments import check_real
+from ..core.errors import CalibrationError
 from . import belief_options, log_options
 from .calibrate import recorded
 from .log_options import FromLog, from_log
 from .progress_bar import bar
 
 if TYPE_CHECKING:
-    from ..core.progress import Progress
     from ..estimation.calibration import Calibration
     from ..estimation.online.known_response import KnownResponse
     from ..estimation.online.online_calibration import OnlineCalibration
@@ -77,31 +77,51 @@ def add_page(group: argparse._ArgumentGroup) -> None:
 
 
 def command(options: argparse.Namespace) -> int:
-    """Show the recording."""
+    """Show the recording, and at the end the calibration of all of it."""
     with LiveView(options) as view:
         with bar(quiet=False) as progress:
             given = recorded(options) if options.map is None else from_log(options, progress)
-            known = _known_response(given, progress)
+        found = given.found or (_calibrated(given) if _has_own_response(given.belief) else None)
+        known = _known_response(found, given.recording)
         for line in given.lines:
             print(line)
         view.play(_stage(given, options, known), known)
-        view.finish("the replay is over; nothing was written")
+        over = "the replay is over; nothing was written"
+        try:
+            view.conclude(found or _calibrated(given))
+        except CalibrationError as error:
+            print(f"live page: no calibration of all contacts: {error}", flush=True)
+            over = f"no calibration of all contacts: {error}; {over}"
+        view.finish(over)
     return 0
 
 
-def _known_response(given: FromLog, progress: Progress | None) -> KnownResponse | None:
-    """The response that a calibration of the whole log learns, where one is needed."""
-    from ..estimation.calibrate import calibrate
-    from ..estimation.online.known_response import KnownResponse
+def _has_own_response(belief: Belief) -> bool:
+    """Whether the response is one that only a calibration of all contacts learns."""
+    from ..contact import LEARNED
     from ..scene.belief import RAW
 
-    found = given.found
-    if found is None and given.belief.readings == RAW:
-        found = calibrate(given.recording, given.belief, progress=progress)
+    return belief.readings == RAW or belief.contact == LEARNED
+
+
+def _calibrated(given: FromLog) -> Calibration:
+    """The calibration of all contacts together."""
+    from ..estimation.calibrate import calibrate
+
+    with bar(quiet=False) as progress:
+        return calibrate(given.recording, given.belief, progress=progress)
+
+
+def _known_response(found: Calibration | None, recording: Recording) -> KnownResponse | None:
+    """The response that a calibration of the whole log learned, if it did."""
+    from ..estimation.online.known_response import KnownResponse
+
     if found is None or found.response is None:
         return None
-    known = KnownResponse.of(found, given.recording)
+    known = KnownResponse.of(found, recording)
     print(f"live page: the response is as learned from the whole log ({found.verdict})")
+    if found.additions is not None:
+        print("live page: readings are shown without what their past, neighbours and drifts add")
     return known
 
 
@@ -159,6 +179,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         for snapshot in replay(stage.recording, online, page.panel, errors=errors):
             page.show(snapshot)
         print(f"live page: {online.status}", flush=True)
+        page.panel.finish("the calibration of all contacts together follows")
 
     def watch(self, scene: Scene, recording: Recording, found: Calibration) -> None:
         """Show the recording of a scene, as `pipeline.run` calls it."""
@@ -166,6 +187,13 @@ class LiveView(AbstractContextManager["LiveView"]):
 
         belief = scene.belief() if found.belief is None else found.belief
         self.play(Stage.of_scene(recording, scene, belief))
+        self.conclude(found)
+
+    def conclude(self, found: Calibration) -> None:
+        """Show the calibration of all contacts, and say what it is."""
+        if self.page is not None:
+            self.page.conclude(found)
+        print(f"live page: all contacts together: {found!r}, {found.verdict}", flush=True)
 
     def finish(self, words: str) -> None:
         """Say how it ended, and wait until the page is closed."""

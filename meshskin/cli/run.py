@@ -6,7 +6,6 @@ import argparse
 import math
 from collections import Counter
 from pathlib import Path
-from time import perf_counter, process_time
 from typing import TYPE_CHECKING
 
 from ..core.errors import ConfigError
@@ -23,9 +22,6 @@ if TYPE_CHECKING:
     from ..scene.scene import Scene
 
     Watch = Callable[[Scene, Recording, Calibration], None]
-
-STARTED = 0.17
-"""Usual processor time, s, of the interpreter and of the command line until a command begins."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -72,12 +68,14 @@ def command(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
     """Run the scene and print the summary; watch: as of `pipeline.run`."""
-    from ..core.deadline import check_run_seconds
+    from ..core.deadline import LEAST_SECONDS, check_run_seconds, command_began, crowding
+
+    began = command_began()
+    if options.seconds is not None:  # before the packages, which take half of the least time
+        check_run_seconds(options.seconds, LEAST_SECONDS * crowding(began))
     from ..core.provenance import StageTimer
 
-    if options.seconds is not None:
-        check_run_seconds(options.seconds)
-    timer = StageTimer(start=(perf_counter() - STARTED, process_time() - STARTED))  # imports count
+    timer = StageTimer(start=began)  # imports count
     from ..pipeline import run
     from ..study.sensitivity.request import Request
 
@@ -107,6 +105,9 @@ def summary(result: Result, folder: Path) -> str:
     m, calibration = result.metrics, result.calibration
     error, bound, force = m["position_error_mm"], m["crlb_mm"], m["force"]
     found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
+    settled = f"settled in {1e3 * force['settling_s']:.0f} ms"
+    if math.isinf(force["settling_s"]):
+        settled = "not settled before the contact point moved"
     lines = [
         *filter(None, [force.get("departure"), m.get("budget", {}).get("above")]),
         *([str(calibration.verdict)] if calibration.verdict is not None else []),
@@ -131,8 +132,8 @@ def summary(result: Result, folder: Path) -> str:
             if m["worse_than_centroid"]
             else []
         ),
-        f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N, settled in "
-        f"{1e3 * force['settling_s']:.0f} ms, overshoot {100 * force['overshoot']:.1f} %, then "
+        f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N, {settled}, "
+        f"overshoot {100 * force['overshoot']:.1f} %, then "
         + (
             "left its reference: see above"
             if "departure" in force

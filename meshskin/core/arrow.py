@@ -1,8 +1,9 @@
 """Arrow columns of NumPy arrays.
 
 `pyarrow.array`, `pyarrow.table`, `pyarrow.dataset` and `to_numpy` import pandas where it is
-installed, which takes half a second of a run that needs no pandas. So columns on the way of every
-run are made of the memory of NumPy arrays, and read as such.
+installed, which takes half a second of a run that needs no pandas; a cast imports
+`pyarrow.compute`. So columns on the way of every run are made of the memory of NumPy arrays, and
+read as such.
 """
 
 from __future__ import annotations
@@ -14,8 +15,14 @@ import pyarrow as pa
 
 
 def column(values: np.ndarray, type: pa.DataType | None = None) -> pa.Array:
-    """The Arrow column of numbers or bool `values` (n,); type: another one to cast it to."""
+    """The Arrow column of numbers or bool `values` (n,); type: another one to cast it to.
+
+    Raises pyarrow.ArrowInvalid for integers that do not fit the type.
+    """
     values = np.ascontiguousarray(values)
+    if type is not None and pa.types.is_integer(type) and values.dtype.kind == "i":
+        cast = values.astype(type.to_pandas_dtype())
+        values = cast if np.array_equal(cast, values) else values
     if values.dtype == bool:
         own, memory = pa.bool_(), np.packbits(values, bitorder="little")
     else:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
+import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from time import perf_counter, process_time
 
 from .errors import OutOfTime, StudyError
@@ -16,6 +19,36 @@ IMPORT_SECONDS = 0.9
 REPORT_SECONDS, PAGE_SECONDS, FIGURE_SECONDS = 2.0, 0.3, 0.8
 """Usual processor time, s, of a report with all figures (docs, speed), of metrics and a page
 without figures, and of a page with the first one, for which the drawing library is loaded."""
+
+
+STARTED = 0.17
+"""Usual processor time, s, of the interpreter and of the command line until a command begins."""
+
+
+def command_began() -> tuple[float, float]:
+    """Wall and processor time, s, at which this command began: with its process, where that did
+    nothing else before and the system (Linux) says when it was started."""
+    wall, processor = perf_counter(), process_time()
+    if processor > 3 * STARTED or not hasattr(time, "CLOCK_BOOTTIME"):
+        return wall - STARTED, processor - STARTED
+    status = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+    ticks = int(status[19])  # its entry 22: proc_pid_stat(5)
+    age = time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
+    return wall - max(age, processor), 0.0
+
+
+def crowding(began: tuple[float, float]) -> float:
+    """By how much other processes stretch the time of this command, which `began` then; at least 1.
+
+    The least of what it took so far over its processor time, which files that are read the first
+    time make larger, too, and of the processes that want a processor, now and in the last minute.
+    """
+    try:
+        now = int(Path("/proc/loadavg").read_text().split()[3].partition("/")[0])
+    except (OSError, IndexError, ValueError):
+        return 1.0
+    wanting = min(now, os.getloadavg()[0]) / (os.cpu_count() or 1)
+    return max(min(Deadline(began=began).slowdown, wanting), 1.0)
 
 
 def check_run_seconds(seconds: float, least: float = LEAST_SECONDS) -> None:

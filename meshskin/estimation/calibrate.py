@@ -35,10 +35,10 @@ from .uncertainty.judge import judge
 
 if TYPE_CHECKING:
     from ..scene.belief import Belief
+    from .data.measurements import Measurements
 
 UNTOUCHED = "never touched"
 CONSTANT = "its reading never changes"
-UNLINKED = "shares too few contacts with other taxels"
 WEAK = "too weakly determined"
 UNITLESS = ("joint", "centroid")
 """Methods that take readings in a unit of their own; the others read distances off pressures."""
@@ -75,6 +75,29 @@ class Estimation:
         progress: Progress | None = None,
     ) -> Calibration:
         """The calibration by a method; arguments and errors as `calibrate`."""
+        stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
+        found, result = self._estimated(method, tolerance, iterations, stage=stage)
+        begin = time.perf_counter()
+        verdict = judge(self.recording, self._near, found, result.departures)
+        stage.end()
+        judged = time.perf_counter() - begin
+        more = {name: found.seconds[name] + judged for name in ("other", "total")}
+        return replace(found, verdict=verdict, seconds={**found.seconds, **more})
+
+    @single_threaded()
+    def without_verdict(self, method: str, progress: Progress | None = None) -> Calibration:
+        """The calibration by a method, for comparison with others; errors as `calibrate`."""
+        return self._estimated(method, stage=Stage(progress, "calibrate"))[0]
+
+    def _estimated(
+        self,
+        method: str,
+        tolerance: float = NEWTON_TOLERANCE,
+        iterations: int = MAX_ITERATIONS,
+        *,
+        stage: Stage,
+    ) -> tuple[Calibration, EstimatorResult]:
+        """The calibration by a method, without a verdict, and the estimate that it is made of."""
         check_name("method", method, tuple(METHODS))
         check_real("tolerance of a calibration", tolerance, above=0.0)
         iterations = check_integer("limit of iterations", iterations, least=1)
@@ -85,7 +108,6 @@ class Estimation:
                 remedy=f"use one of {', '.join(UNITLESS)}",
             )
         begin, data, given = time.perf_counter(), self.data, self.recording
-        stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         limits = {"tolerance": tolerance, "iterations": iterations} if method == "joint" else {}
         result = METHODS[method](self, stage, **limits)
         shape = observability.shape_operators(data.body, result.points, result.rotations)
@@ -93,9 +115,8 @@ class Estimation:
         if covariance is None:
             covariance = observability.pose_covariance(result.covariance, shape)
         observed = observability.degrees_of_freedom(covariance, float(np.median(data.radii)))
-        near = coactivation.without_rest(data)
         covariance = covariance + systematic_covariance(
-            near, result.unknowns, result.rotations, shape, result.jump
+            self._near, result.unknowns, result.rotations, shape, result.jump
         )
         reasons = np.array(result.reasons, dtype=object)
         reasons[(data.counts == 0) & (reasons != "")] = UNTOUCHED
@@ -125,29 +146,38 @@ class Estimation:
             fit=result.fit,
             response=result.response,
             contact_errors=result.contact_errors,
-            contact_centroids=trilaterate.centroids(coactivation.without_distant_readings(data)),
+            additions=result.additions,
+            contact_centroids=self._contact_centroids,
             belief=data.belief,
             iterates=result.iterates,
             provenance=provenance(
                 method=method,
-                recording=digest(given.points, given.force, given.pressure),
+                recording=self._digest,
                 source=given.metadata.get("provenance", {}),
             ),
             disc_radius=data.belief.disc_radius,
             frame=getattr(data.belief.body, "frame", None),  # an exact surface has none
         )
-        verdict = judge(given, near, calibration, result.departures)
-        stage.end()
         seconds = {"gather": self._seconds, **result.seconds}
         total = self._seconds + time.perf_counter() - begin
         seconds |= {"other": total - sum(seconds.values()), "total": total}
-        return replace(calibration, verdict=verdict, seconds=seconds)
+        return replace(calibration, seconds=seconds), result
+
+    @cached_property
+    def _near(self) -> Measurements:
+        return coactivation.without_rest(self.data)
+
+    @cached_property
+    def _contact_centroids(self) -> Array:
+        return trilaterate.centroids(coactivation.without_distant_readings(self.data))
+
+    @cached_property
+    def _digest(self) -> str:
+        given = self.recording
+        return digest(given.points, given.force, given.pressure)
 
     def joint(
-        self,
-        stage: Stage,
-        tolerance: float = NEWTON_TOLERANCE,
-        iterations: int = MAX_ITERATIONS,
+        self, stage: Stage, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS
     ) -> EstimatorResult:
         """Maximum likelihood over all readings; arguments as `calibrate`.
 
@@ -262,42 +292,8 @@ class Estimation:
         stage.step()
         solution = graph.solve(keep_iterates=True, progress=lambda *_: stage.step())
         stage.step()
-        assert solution.iterates is not None
-        placed, linked = gauge.aligned(graph, solution.poses)
-        row = np.flatnonzero(fit.found)
-        poses = np.full((len(fit.reasons), 4, 4), np.nan)
-        poses[row[linked]] = placed[linked]
-        reasons = fit.reasons.copy()
-        reasons[row[~linked]] = UNLINKED
-        covariances = np.tile(np.diag([np.inf] * 6), (len(reasons), 1, 1))
-        covariances[row[linked]] = gauge.covariances(graph, placed, measured.errors)[linked]
-        spin = observability.SPIN
-        covariances[:, spin, :] = covariances[:, :, spin] = 0.0
-        covariances[:, spin, spin] = np.inf
-        iterates = np.full((len(solution.iterates), len(reasons), 3), np.nan)
-        for k, step in enumerate(solution.iterates):
-            iterates[k, row[linked]] = gauge.aligned(graph, step)[0][linked, :3, 3]
-        return EstimatorResult(
-            points=poses[:, :3, 3],
-            rotations=poses[:, :3, :3],
-            covariance=covariances[:, :2, :2],
-            pose_covariances=covariances,
-            reasons=reasons,
-            chi2=np.full(len(reasons), np.nan),
-            iterates=iterates,
-            anchor="rigid alignment of each connected part with the trilaterated positions",
-            factors=(
-                f"{len(graph.edges)} displacements of taxels active together, "
-                f"{'isotropic' if isotropic else 'full'} information, taken as independent; "
-                "the covariance is scaled for the readings that they share",
-                "rotation of each frame about its normal: a convention",
-            ),
-            seconds={
-                "graph": prepared,
-                "build": solution.build_time,
-                "solve": solution.solve_time,
-            },
-        )
+        information = "isotropic" if isotropic else "full"
+        return gauge.aligned_estimate(graph, solution, fit, measured.errors, information, prepared)
 
 
 METHODS: dict[str, Callable[..., EstimatorResult]] = {

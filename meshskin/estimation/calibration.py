@@ -92,6 +92,9 @@ class Calibration(Value, Card, Tabular):
     """Errors (m, 3) of the m pressed contacts that were estimated with a learned response: by how
     much a point is displaced along the first and second principal direction, m, and of ln F; None
     without one. Not saved."""
+    additions: Array | None = None
+    """Rows (k, 3) of contact, row of the taxel, and what hysteresis, creep, crosstalk and drifts
+    add to its reading there, in Pa under the response; None without these. Not saved."""
     verdict: Verdict | None = None
     """Whether the calibration can be relied on, with reasons; None: made by hand."""
     contact_centroids: Array | None = None

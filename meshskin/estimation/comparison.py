@@ -38,7 +38,7 @@ class Comparison:
     """Calibrations by other methods."""
 
     found: dict[str, Calibration] = field(default_factory=dict)
-    """The calibration by each method that gave one."""
+    """The calibration by each method that gave one, without a verdict."""
     missing: dict[str, str] = field(default_factory=dict)
     """Why each other method gave none."""
     left_out: tuple[str, ...] = ()
@@ -83,7 +83,7 @@ def compare_methods(
     for method in METHODS:
         try:
             deadline.check(reserve + seconds(method))
-            other = estimation.calibrate(method, progress=deadline.hook(None, reserve))
+            other = estimation.without_verdict(method, deadline.hook(None, reserve))
             _check_placed(other, MIN_ALIGNED if method.startswith("posegraph") else 1)
         except (CalibrationError, GraphError) as error:
             comparison.missing[method] = str(error)

@@ -89,15 +89,16 @@ def demonstrate(
     """Solve the perturbed graph of the true `poses` (n, 4, 4) of the taxels `ids` from the origin.
 
     sigma, m, and rotation_sigma, rad: noise of the displacements. Each iterate is aligned rigidly
-    with the truth. Raises CalibrationError if no two taxels were active together.
+    with the truth. Raises CalibrationError if fewer than half of the taxels were active together.
     """
     pairs = coactive_pairs(recording, ids)
-    if not len(pairs):
+    rows, local = np.unique(pairs, return_inverse=True)
+    if len(rows) < max(2, len(ids) / 2):  # a figure of the few would not show the skin
         raise CalibrationError(
-            "no two taxels were active together",
+            "fewer than half of the taxels were active together with another",
+            value=f"{len(rows)} of {len(ids)}",
             remedy="use a softer skin, more force or a closer spacing",
         )
-    rows, local = np.unique(pairs, return_inverse=True)
     graph = perturbed_graph(
         poses[rows],
         local.reshape(-1, 2),

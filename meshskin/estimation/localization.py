@@ -343,8 +343,5 @@ def _in_place(data: Measurements, s: Array) -> tuple[Measurements, Array]:
         return data, s
     points = LinearizedContacts(data, s).at(s).points
     data = data.at_contacts(data.body.closest(points))
-    columns = parameters.columns
-    names = tuple(name for name in parameters.names if name not in MOVES)
-    rows = np.concatenate([np.arange(len(s))[columns[name]] for name in names])
-    still = replace(parameters, names=names, sigma=parameters.sigma[rows], motion=None)
+    still, rows = parameters.without(MOVES)
     return replace(data, parameters=still), s[rows]

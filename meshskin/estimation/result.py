@@ -16,6 +16,10 @@ MOSTLY_OUTLIERS = "most of its readings are outlying"
 """Reason of a taxel whose estimate is dropped; its fault says what was found."""
 RIVAL = "a second position {:.2g} mm away fits nearly as well"
 """Fault of a taxel whose readings have two optima."""
+MISFITTING = (
+    "without {} contacts whose readings fit no others: bumps, jumps of the curvature, wrong points"
+)
+"""Factor of an estimate that some contacts were left out of."""
 CENSORING = "silent readings, censored at the threshold"
 """Factor of an estimate with known noise."""
 CONTACT_POINTS = (
@@ -55,11 +59,11 @@ class LearnedResponse(Value):
     """Standard deviation of a reading, its constant part."""
     noise_relative: float
     """Its part proportional to the reading."""
-    force_correlation: float = 0.0
-    """Correlation of the errors of ln force of contacts within half a reach of each other; 0 where
-    chance explains it: elsewhere the stiffness of the skin changes over the body."""
     alike_contacts: float = 1.0
-    """Number of contacts that one contact stands for by it, the factor of the variances."""
+    """Factor of the variances by errors that neighbouring contacts share; 1 where chance explains
+    them (joint/contact_correlations.py)."""
+    alike_parts: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """What displacements of contact points, errors of forces and of readings have in it."""
     coefficients: Array = field(default_factory=lambda: np.empty(0))
     """Whitened coefficients of the profile's correction (contact/learned.py)."""
     extent: float = 2.5
@@ -101,7 +105,7 @@ class LearnedResponse(Value):
             "contact_scatter_mm": 1e3 * self.contact_scatter,
             "contact_correlation": self.contact_correlation,
             "force_scatter_percent": 100 * self.force_scatter,
-            "force_correlation": self.force_correlation,
+            "alike_contacts": self.alike_contacts,
             "noise": self.noise,
             "noise_percent": 100 * self.noise_relative,
             "unit": self.unit_name,
@@ -126,7 +130,7 @@ class LearnedResponse(Value):
         arrays: dict[str, Any] = {
             k: np.array(v) if isinstance(v, list) else v for k, v in values.items()
         }
-        for name in arrays.keys() & {"levels", "hysteresis", "creep", "references"}:
+        for name in arrays.keys() & {"levels", "hysteresis", "creep", "references", "alike_parts"}:
             arrays[name] = tuple(map(float, arrays[name]))
         return cls(**arrays)
 
@@ -217,6 +221,9 @@ class EstimatorResult:
     contact_errors: Array | None = None
     """Estimated errors (m, 3) of the contacts, where the response was learned, as
     `Measurements.contact_errors`."""
+    additions: Array | None = None
+    """Rows (k, 3) of contact, row of the taxel, and what hysteresis, creep, crosstalk and drifts
+    add to its reading there, Pa; None without these."""
     restarted: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Rows of taxels that were started again from the centroid of their contacts."""
     seconds: Mapping[str, float] = field(default_factory=dict)

@@ -77,12 +77,24 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
             f"nothing of the skin can be explored: {why}",
             value=f"{len(sites)} taxels, the indenter at "
             f"{tuple(round(float(x), 3) for x in rig.indenter.position)} m",
-            remedy=other or ("" if wide else "move indenter.position_m, or change the mount"),
+            remedy=_remedy(why, other, wide),
         )
     notes = collision.arm_capsules(rig.arm).notes if rig.arm else ()
     notes += rig.allowed_collisions.notes if rig.allowed_collisions else ()
     notes += (other,) if other else ()
     return Plan(replace(Path.concatenate(segments), unreachable=left_out), spacing, notes)
+
+
+def _remedy(why: str, other: str, wide: str) -> str:
+    """What to change where nothing can be explored because of `why`: another contact, `other`, or
+    the lanes, which `why` says where they are too `wide`; the arm's place where that is why."""
+    arms = OUT_OF_REACH, LIMIT, collision.ARM_SUPPORT, collision.ARM_BODY
+    if (other or wide) and not why.startswith(arms):
+        return other
+    return (
+        "move indenter.position_m, change the mount, or let the indenter be carried to the body "
+        "(indenter.carried_by)"
+    )
 
 
 def _feasible(rig: ContactRig, lanes: list[Closest]) -> tuple[list[Closest], list[Blocked]]:

@@ -40,7 +40,7 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
             "the log has no contact forces",
             remedy="add a stream of wrenches, or contacts with force",
         )
-    rest = force[~given.in_contact]
+    rest = force[~given.in_contact & (given.force is not None)]  # contacts are never at rest
     least = (
         REST_SIGMAS * float(np.sqrt(np.mean(rest[np.isfinite(rest)] ** 2))) if len(rest) else 0.0
     )

@@ -176,7 +176,7 @@ def errors(distances: Mapping[str, ArrayLike], bound: float | None = None) -> Fi
     """Histograms of position errors, one row per method, on a common logarithmic axis.
 
     distances: method -> errors (n,), m, NaN where a method gives no estimate; bound: Cramér-Rao
-    bound on the mean error, m.
+    bound on the mean error, m. The rows are one axes, because axes take most of the time.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -184,46 +184,44 @@ def errors(distances: Mapping[str, ArrayLike], bound: float | None = None) -> Fi
     rows = {k: v[np.isfinite(v)] for k, v in rows.items()}
     low, high = _decades(np.concatenate([*rows.values(), [] if bound is None else [bound * MM]]))
     bins = np.geomspace(low, high, 8 * max(round(np.log10(high / low)), 1) + 1)
+    counts = [np.histogram(np.clip(values, low, high), bins)[0] for values in rows.values()]
+    step = 1.25 * float(np.max(counts, initial=0)) or 1.0
+    bases = step * np.arange(len(rows))[::-1]
     figure = theme.new_figure(9.0, 0.85 + 1.1 * max(len(rows), 1))
-    top = 0.0
-    for k, (name, values) in enumerate(rows.items()):
-        axes = theme.add_axes(figure, 2.6, 0.55 + 1.1 * (len(rows) - 1 - k), 6.2, 0.95)
-        counts, _ = np.histogram(np.clip(values, low, high), bins)
-        axes.stairs(counts, bins, fill=True, color=theme.method_colour(name))
-        top = max(top, float(np.max(counts, initial=0)))
-        _decade_axis(axes, low, high, ticks=k == len(rows) - 1)
-        axes.yaxis.set_major_locator(MaxNLocator(2, integer=True))  # ticks take most of the time
-        _name_row(axes, method_name(name), values)
-        if k == len(rows) // 2:
-            axes.set_ylabel("taxels")
-        if k == len(rows) - 1:
-            axes.set_xlabel("position error (mm)")
-    for axes in figure.axes:
-        axes.set_ylim(0, 1.1 * top or 1.0)
-    if bound is not None and np.isfinite(bound) and figure.axes:
-        _draw_bound(figure, bound * MM, on_right=bound * MM > low**0.4 * high**0.6)
+    axes = theme.add_axes(figure, 2.6, 0.55, 6.2, 1.1 * max(len(rows), 1))
+    for (name, values), count, base in zip(rows.items(), counts, bases, strict=True):
+        axes.stairs(base + count, bins, baseline=base, fill=True, color=theme.method_colour(name))
+        _name_row(axes, method_name(name), values, base + 0.45 * step)
+    axes.hlines(bases[:-1], low, high, color=theme.MUTED, lw=0.7)
+    ticks = [tick for tick in MaxNLocator(2, integer=True).tick_values(0, step) if tick < step]
+    axes.set_yticks(
+        np.add.outer(bases, ticks).ravel(), [compact(tick) for tick in ticks] * len(rows)
+    )
+    axes.set(ylim=(0, step * max(len(rows), 1)), xlabel="position error (mm)", ylabel="taxels")
+    _decade_axis(axes, low, high)
+    if bound is not None and np.isfinite(bound) and rows:
+        _draw_bound(axes, bound * MM, on_right=bound * MM > low**0.4 * high**0.6)
     return figure
 
 
-def _name_row(axes: Axes, name: str, errors: Array) -> None:
-    """Write the method's name and its mean error, mm, left of its histogram."""
+def _name_row(axes: Axes, name: str, errors: Array, middle: float) -> None:
+    """Write the method's name and its mean error, mm, left of its histogram about `middle`."""
     mean = errors.mean() if len(errors) else float("nan")
     axes.text(
         -0.09,
-        0.5,
+        middle,
         f"{fill(name, 26)}\nmean {significant(mean)} mm",
-        transform=axes.transAxes,
+        transform=axes.get_yaxis_transform(),
         ha="right",
         va="center",
         linespacing=1.5,
     )
 
 
-def _draw_bound(figure: Figure, bound: float, on_right: bool) -> None:
-    """A line at the bound, mm, through all rows, with a label to its right or left."""
-    for axes in figure.axes:
-        axes.axvline(bound, color=theme.INK, lw=1.0, ls="--")
-    figure.axes[0].annotate(
+def _draw_bound(axes: Axes, bound: float, on_right: bool) -> None:
+    """A line at the bound, mm, with a label to its right or left."""
+    axes.axvline(bound, color=theme.INK, lw=1.0, ls="--")
+    axes.annotate(
         f"Cramér-Rao bound {significant(bound)} mm",
         (bound, 1.0),
         (-4 if on_right else 4, 3),
@@ -233,13 +231,13 @@ def _draw_bound(figure: Figure, bound: float, on_right: bool) -> None:
     )
 
 
-def _decade_axis(axes: Axes, low: float, high: float, ticks: bool) -> None:
-    """Make the x axis logarithmic, with decades as plain numbers, or without ticks."""
+def _decade_axis(axes: Axes, low: float, high: float) -> None:
+    """Make the x axis logarithmic, with decades as plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     axes.set_xscale("log")
     axes.set_xlim(low, high)
-    axes.xaxis.set_major_locator(LogLocator(numticks=9) if ticks else NullLocator())
+    axes.xaxis.set_major_locator(LogLocator(numticks=9))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _decade(value)))
     axes.xaxis.set_minor_locator(NullLocator())
 

@@ -223,18 +223,13 @@ def iterations(folder: Path, data: ReportData) -> SavedFigure | None:
     run = data.iterations
     if run is None:
         return None
-
-    singles = (
-        theme.save(maps.iterations(run, data.plane, k), folder, f"fig{6 + k}_iteration")
-        for k in range(3)
-    )
-    also = tuple(file for pair in singles for file in pair)
     goal = "truth" if run.has_truth else "last iterate"
     start = "Displacements are the true ones with noise; all taxels start at one point. "
+    figure = maps.iterations(run, data.plane)
     picture = _save(
         folder,
         "fig6-8_iterations",
-        maps.iterations(run, data.plane),
+        figure,
         "Pose-graph estimates along the iterations (the paper's fig. 6 to 8)",
         (start if run.is_demonstration else "")
         + f"The first, the last and the iterate nearest to half way, of {len(run.positions)} "
@@ -242,7 +237,8 @@ def iterations(folder: Path, data: ReportData) -> SavedFigure | None:
         "skin. Good: in the last panel every estimate is inside its ring or next to it.",
         "Maps of the estimates at the first, middle and last iteration",
     )
-    return replace(picture, also=also)
+    panels = [f"fig{6 + k}_iteration" for k in range(3)]
+    return replace(picture, also=theme.save_panels(figure, folder, panels))
 
 
 DRAWN = (force, response, estimates, errors, uncertainty, coverage, iterations, accuracy_time)

@@ -70,11 +70,12 @@ def _segments(axes: Axes, start: Array, end: Array, **style: Any) -> None:
     axes.add_collection(lines, autolim=False)
 
 
-def _legend(axes: Axes, handles: list[Any]) -> None:
+def _legend(axes: Axes, handles: list[Any], above: float = 0.0) -> None:
+    """A line of entries over the axes, `above` of their height higher, over a title."""
     axes.legend(
         handles=handles,
         loc="lower left",
-        bbox_to_anchor=(-0.02, 1.0),
+        bbox_to_anchor=(-0.02, 1.0 + above),
         ncols=len(handles),
         borderaxespad=0.3,
         handletextpad=0.5,
@@ -141,7 +142,7 @@ def _view_points(skin: Array, more: Array, beyond: float) -> Array:
     return np.concatenate([skin, np.clip(more, low - reach, high + reach)])
 
 
-def _iteration_panel(axes: Axes, truth: Array, estimate: Array, title: str) -> None:
+def _iteration_panel(axes: Axes, truth: Array, estimate: Array, title: str, goal: str) -> None:
     good = np.isfinite(estimate).all(axis=1) & np.isfinite(truth).all(axis=1)
     a, b = truth[good], estimate[good]
     _segments(axes, a, b, color=theme.FAINT, lw=0.7)
@@ -149,6 +150,13 @@ def _iteration_panel(axes: Axes, truth: Array, estimate: Array, title: str) -> N
     axes.plot(*a.T, "o", ms=4.5, mfc="none", mec=theme.TRUTH, mew=0.8, rasterized=many)
     axes.plot(*b.T, "o", ms=2.6, color=theme.ESTIMATE, rasterized=many)
     axes.set_title(title)
+    axes.set_xlabel("first axis (mm)")
+    handles = [
+        _handle(goal, **DOT, mfc="none", mec=theme.TRUTH, ms=5),
+        _handle("estimate", **DOT, color=theme.ESTIMATE, ms=3.5),
+        _handle("difference", color=theme.FAINT),
+    ]
+    _legend(axes, handles, above=0.1)
 
 
 def representative_iterations(iterates: Array) -> tuple[int, int, int]:
@@ -161,48 +169,26 @@ def representative_iterations(iterates: Array) -> tuple[int, int, int]:
 
 
 @theme.styled
-def iterations(run: Iterations, plane: Plane, only: int | None = None) -> Figure:
+def iterations(run: Iterations, plane: Plane) -> Figure:
     """Fig. 6-8: pose-graph estimates at the first, a middle and the last iteration.
 
-    The middle one is nearest to half way between the first and the last. `only` (0, 1 or 2) draws
-    one of the three panels.
+    The middle one is nearest to half way between the first and the last. Three panels of equal
+    width, each with its legend, for `theme.save_panels`.
     """
     t, all_iterates = np.asarray(run.reference), np.asarray(run.positions)
     chosen = representative_iterations(all_iterates)
     flat = [plane.project(all_iterates[k]) for k in chosen]
     a = plane.project(t)
     view = _view_points(finite_rows(a), finite_rows(np.concatenate(flat)), 0.75)
-    panels = (0, 1, 2) if only is None else (only,)
-    size = 2.75 if only is None else 3.9
-    figure = theme.new_figure(0.75 + (size + 0.25) * len(panels), size + 1.25)
-    for column, k in enumerate(panels):
-        axes = _map_axes(figure, view, 0.65 + (size + 0.25) * column, 0.55, size)
-        error = np.linalg.norm(all_iterates[chosen[k]] - t, axis=1)
+    goal = "true taxel" if run.has_truth else "last iterate"
+    size, width = 2.75, 3.5
+    figure = theme.new_figure(width * len(chosen), size + 1.25)
+    for column, (k, estimate) in enumerate(zip(chosen, flat, strict=True)):
+        axes = _map_axes(figure, view, 0.65 + width * column, 0.55, size)
+        error = np.linalg.norm(all_iterates[k] - t, axis=1)
         mean = float(np.nanmean(error)) * MM if np.isfinite(error).any() else float("nan")
-        _iteration_panel(
-            axes, a, flat[k], f"Iteration {chosen[k]}: mean {significant(mean)} mm off"
-        )
-        axes.set_xlabel("first axis (mm)")
-        if column:
-            axes.set_ylabel("")
-            axes.tick_params(labelleft=False)
-    figure.legend(
-        handles=[
-            _handle(
-                "true taxel" if run.has_truth else "last iterate",
-                **DOT,
-                mfc="none",
-                mec=theme.TRUTH,
-                ms=5,
-            ),
-            _handle("estimate", **DOT, color=theme.ESTIMATE, ms=3.5),
-            _handle("from each to its estimate", color=theme.FAINT),
-        ],
-        loc="upper left",
-        bbox_to_anchor=(0.6 / figure.get_size_inches()[0], 1.0),
-        ncols=3,
-        borderaxespad=0.5,
-    )
+        title = f"Iteration {k}: mean {significant(mean)} mm off"
+        _iteration_panel(axes, a, estimate, title, goal)
     return figure
 
 

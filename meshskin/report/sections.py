@@ -67,7 +67,7 @@ METRIC_NOTES = {
 
 def content(data: ReportData, pictures: Sequence[SavedFigure]) -> Content:
     """The whole page."""
-    scene = data.provenance.get("scene") or _metadata(data).get("scene")
+    scene = data.provenance.get("scene") or _metadata(data).get("scene") or data.calibration.frame
     created = _format_time(str(data.provenance.get("created", "")))
     kind = "simulation with known truth" if data.truth is not None else "recording"
     verdict = data.calibration.verdict
@@ -321,8 +321,9 @@ def _force(data: ReportData) -> list[str]:
     if not force:
         return []
     notes = [f"reference {compact(force['reference_n'])} N"] if "reference_n" in force else []
-    if force.get("settling_s") is not None:
-        notes.append(f"settled in {compact(force['settling_s'] * 1e3)} ms")
+    if (seconds := force.get("settling_s")) is not None:
+        settles = f"settled in {compact(seconds * 1e3)} ms"
+        notes.append(settles if np.isfinite(seconds) else "not settled before it slides")
     if force.get("overshoot") is not None:
         over = 100 * force["overshoot"]
         notes.append(f"overshoot {over:.1f} %" if over >= 0.05 else "no overshoot")

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
+import numpy as np
+
+from ..core.arrays import Array
 from ..core.atomic_io import atomic
 
 if TYPE_CHECKING:
@@ -131,26 +134,63 @@ def save(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
 
     Raises OutputError if the folder cannot be written.
     """
-    import numpy as np
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
 
-    png, svg = Path(folder) / f"{name}.png", Path(folder) / f"{name}.svg"
+    png, svg = _paths(folder, name)
     axes = [axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
     for axis in axes:
         if not axis.label.get_text():
             axis.set_label_coords(0.0, 0.0)  # placing a label measures all tick labels
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    pixels = np.asarray(canvas.buffer_rgba())[..., :3]
-    with atomic(png) as temporary:
-        Image.fromarray(pixels).save(temporary, "png", compress_level=1, dpi=(DPI, DPI))
+    _write_png(png, np.asarray(canvas.buffer_rgba()))
     for axis in axes:  # in the SVG, labels are where the PNG has them
         x, y = axis.label.get_transform().transform(axis.label.get_position())
         axis.set_label_coords(*axis.axes.transAxes.inverted().transform((x, y)))
-    with atomic(svg) as temporary:
-        figure.savefig(temporary, format="svg", dpi=DPI, metadata={"Date": None})
+    _write_svg(svg, figure)
     return png, svg
+
+
+@styled
+def save_panels(figure: Figure, folder: str | Path, names: Sequence[str]) -> tuple[Path, ...]:
+    """Write the panels of a figure after `save`, each axes with its legend, as files of their own.
+
+    The panels have equal widths and fill the figure; they are cut out of its PNG. Returns the
+    paths. Raises OutputError if the folder cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.transforms import Bbox
+
+    assert isinstance(figure.canvas, FigureCanvasAgg)  # of `save`
+    pixels, paths = np.asarray(figure.canvas.buffer_rgba()), list[Path]()
+    width, height = figure.get_size_inches() / (len(names), 1)
+    for k, name in enumerate(names):
+        png, svg = _paths(folder, name)
+        paths += [png, svg]
+        first, end = (round(edge * width * DPI) for edge in (k, k + 1))
+        _write_png(png, pixels[:, first:end])
+        for other, axes in enumerate(figure.axes):
+            axes.set_visible(other == k)
+        _write_svg(svg, figure, bbox_inches=Bbox.from_bounds(k * width, 0.0, width, height))
+    return tuple(paths)
+
+
+def _paths(folder: str | Path, name: str) -> tuple[Path, Path]:
+    return Path(folder) / f"{name}.png", Path(folder) / f"{name}.svg"
+
+
+def _write_png(path: Path, pixels: Array) -> None:
+    """Write pixels (rows, columns, 4); they are opaque."""
+    from PIL import Image
+
+    opaque = np.ascontiguousarray(pixels[..., :3])
+    with atomic(path) as temporary:
+        Image.fromarray(opaque).save(temporary, "png", compress_level=1, dpi=(DPI, DPI))
+
+
+def _write_svg(path: Path, figure: Figure, **part: Any) -> None:
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="svg", dpi=DPI, metadata={"Date": None}, **part)
 
 
 UNGROUPED_DIGITS = 4

@@ -25,9 +25,10 @@ PATCH, MAP = 3 * len(POWERS), 6
 """Lengths of a flattened surface patch and of a face map."""
 MIN_AREA = 1e-24
 """Squared contact radius, m^2, that is used without contact, where it would be 0: (1 pm)^2."""
-MIN_COMPILED_STEPS = 100_000
-"""Steps of a run from which on compiling pays: the compiler takes 1 to 2 s, and machine code saves
-10 to 20 us a step (studies/speed/closed_loop.py)."""
+MIN_COMPILED_STEPS = 15_000
+"""Steps of a run from which on compiling pays: the compiler takes 0.5 to 0.8 s of processor time
+with a Puma 560, and machine code saves 20 to 30 us a step, in this run and, from the cache, in
+later ones (`meshskin run sphere` twice with an empty MESHSKIN_CACHE: 23,554 steps)."""
 _INT, _REAL, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 

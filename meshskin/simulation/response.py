@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pyarrow as pa
 
 from ..core import arrow
 from ..core.arrays import Array
 from ..core.errors import SimulationError
+from ..recording.recording import Recording
 
 SETTLING_BAND = 0.02
 """Error, relative to the reference, within which the force counts as settled: the usual 2 % band of
@@ -45,10 +45,13 @@ class ForceResponse:
     """Steps without contact in which the law controls the force."""
 
 
-def describe_departure(motion: pa.Table) -> str:
-    """Where the force of a recording's `motion` left its reference after settling, while the
-    contact point slides, and what to change; "" where it stayed within MAX_DEPARTURE.
+def describe_departure(recording: Recording) -> str:
+    """When and where on the body the force of a simulated recording left its reference after
+    settling, while the contact point slides, and what to change; "" where it stayed within
+    MAX_DEPARTURE, and for contacts that are pressed one by one.
     """
+    if (motion := recording.motion) is None:
+        return ""
     time, force, references = (
         arrow.values(motion.column(name)) for name in ("time", "force", "reference")
     )
@@ -60,11 +63,13 @@ def describe_departure(motion: pa.Table) -> str:
     worst = int(np.argmax(np.where(left, off, 0.0)))
     lost = " (contact lost)" if force[worst] <= 0 else ""
     share = 100 * left.sum() / after.sum()
+    nearest = recording.points[np.argmin(np.abs(recording.time - time[worst]))]
+    place = ", ".join(f"{1e3 * x:.1f}" for x in nearest)
     return (
         f"the contact force left its reference after settling: {force[worst]:.3g} N{lost} instead "
-        f"of {references[worst]:g} N at {time[worst]:.4g} s, off by more than {MAX_DEPARTURE:.0%} "
-        f"in {share:.2g} % of the steps; lower exploration.speed, raise law.gamma,"
-        " or leave the bump or edge of the body out of the skin's region"
+        f"of {references[worst]:g} N at {time[worst]:.4g} s, near ({place}) mm of the body, off by "
+        f"more than {MAX_DEPARTURE:.0%} in {share:.2g} % of the steps; lower exploration.speed, "
+        "raise law.gamma, or leave that bump or edge of the body out of the skin's region"
     )
 
 

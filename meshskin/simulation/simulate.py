@@ -99,8 +99,7 @@ def simulate(
         recording = Recording.load(out)
     else:
         recording = record_steps(scene, simulator, path, steps, seed, chain)
-    assert recording.motion is not None
-    if words := describe_departure(recording.motion):
+    if words := describe_departure(recording):
         warnings.warn(words, stacklevel=2)
     if given_up := recording.metadata["given_up"]:
         count = (

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from ..core.arrays import Array
-from ..core.errors import EdgeError, PlaceError, SimulationError
+from ..core.errors import EdgeError, PlaceError, ReachError, SimulationError
 from ..core.se3 import interpolate, log_so3, poses_of_states
 from ..scene.settings import Exploration
 from . import transfer
@@ -89,15 +89,16 @@ class ExplorationStateMachine:
         reason than an edge, or with an arm.
         """
         simulator = self.simulator
-        failed: PlaceError | None = None
-        last: Track | None = None  # the one that the contact has followed
+        failed: PlaceError | ReachError | None = None
+        last: Track | None = None  # the one that the contact has followed, and not left
         for place, track in enumerate(self.tracks):
             self.place, self.row, lost = place, 0, 0
-            if last is not None:
+            if place:
                 try:
                     yield from self._travel(last, track)
-                except PlaceError as error:
+                except (PlaceError, ReachError) as error:
                     failed, self.skips = error, self.skips + 1
+                    last = None if self.phase == NEXT else last
                     simulator.given_up.append(str(error))
                     self.skipped_rows += len(track)
                     continue
@@ -191,12 +192,23 @@ class ExplorationStateMachine:
             self.explored = True
             yield steps
 
-    def _travel(self, track: Track, goal: Track) -> Iterator[Steps]:
-        """Lift off the end of a track and move to above the start of the next."""
-        simulator, dt = self.simulator, self.simulator.loop.dt
-        if not simulator.loop.joints:
+    def _travel(self, track: Track | None, goal: Track) -> Iterator[Steps]:
+        """Lift off the end of a track, if any, and move to above the start of the next.
+
+        Raises PlaceError, or ReachError with an arm, where there is no way.
+        """
+        if not self.simulator.loop.joints:
             yield from self._float(self._above(goal.references[0]))
             return
+        if track is not None:
+            yield from self._leave(track)
+        assert self.postures is not None
+        self.phase = NEXT
+        yield self.simulator.move(self._regrasp(goal, self.postures[self.place]), NEXT)
+
+    def _leave(self, track: Track) -> Iterator[Steps]:
+        """With an arm: lift off the end of a track."""
+        simulator, dt = self.simulator, self.simulator.loop.dt
         low, high = reference_poses(track.references[-1]), self._above(track.references[-1])
         poses = _blend(low, high, dt)
         if not simulator.loop.arm.holds_any_pose:
@@ -206,9 +218,6 @@ class ExplorationStateMachine:
             steps = simulator.advance(motion, LEAVE, track_normal=True)
             yield steps
             motion = motion[len(steps.time) :]
-        assert self.postures is not None
-        self.phase = NEXT
-        yield simulator.move(self._regrasp(goal, self.postures[self.place]), NEXT)
 
     def _held(self, poses: Array) -> Array:
         """The poses (k, 4, 4) turned about the indenter's axis as the arm must, from its joints."""

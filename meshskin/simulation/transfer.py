@@ -45,9 +45,12 @@ def penetration(loop: ClosedLoopModel, body: Body, poses: Array) -> tuple[Closes
 
     On an open surface the distance is unsigned: far from it, its sign has no meaning.
     """
-    hit = body.closest(loop.indenter_centers(poses))
-    distance = hit.distance if body.mesh.is_watertight else np.abs(hit.distance)
-    return hit, loop.indenter_radius - distance
+    centers = loop.indenter_centers(poses)
+    if body.mesh.is_watertight:
+        hit = body.closest(centers)
+        return hit, loop.indenter_radius - hit.distance
+    hit = body.surface.nearest(centers)
+    return hit, loop.indenter_radius - np.abs(hit.distance)
 
 
 def joint_path(loop: ClosedLoopModel, body: Body, start: Array, goal: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from . import sphere
 from .electronics import Electronics
-from .outside import Drag, Oblong, Pair
+from .outside import Drag, Oblong, Pair, Skewed
 from .profiles import Bell, Hertz, Winkler, blurred
 from .world import Radial, World
 
@@ -80,6 +80,7 @@ def catalogue() -> dict[str, World]:
         "force_nominal": World(hertz, nominal_force=True),
         "scatter_03": World(hertz, scatter=0.3e-3),
         "scatter_10": World(hertz, scatter=1e-3),
+        "strays": World(hertz, Electronics(gain=0.1), strays=0.05),
         "hysteresis": World(hertz, Electronics(hysteresis=0.5)),
         "together": World(hertz, together, scatter=0.3e-3, force_error=0.1),
         "uneven_05": World(hertz, uneven=0.05),
@@ -89,6 +90,8 @@ def catalogue() -> dict[str, World]:
         "crosstalk": World(hertz, Electronics(crosstalk=0.05)),
         "crosstalk_modules": World(hertz, Electronics(crosstalk=0.05, module=12)),
         "crosstalk_faint": World(hertz, Electronics(crosstalk=0.02, module=12)),
+        "matrix": World(hertz, Electronics(crosstalk=0.03, line=10)),
+        "wander": World(hertz, Electronics(wander=0.03)),
         "creep_03": World(hertz, Electronics(creep=0.25, creep_time=0.3), **PRESSES),
         "creep_30": World(hertz, Electronics(creep=0.25, creep_time=3.0), **PRESSES),
         "creep_stops": World(hertz, Electronics(creep=0.25), dwell=(0.1, 1.5)),
@@ -96,6 +99,7 @@ def catalogue() -> dict[str, World]:
         "warming": World(hertz, Electronics(warm_gain=0.1, warm_offset=0.03)),
         "drag_01": World(Drag(hertz, 0.1e-3)),
         "drag_09": World(Drag(hertz, 0.9e-3)),
+        "skewed": World(Skewed(Hertz(), 5.3e-3)),
         "pair": World(Pair(hertz)),
         "oblong_13": World(Oblong(Hertz(), 1.3)),
         "oblong_13_turns": World(Oblong(Hertz(), 1.3, turns=True)),

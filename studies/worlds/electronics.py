@@ -31,10 +31,15 @@ class Electronics:
     """Standard deviation of the offsets of the taxels."""
     drift: float = 0.0
     """Standard deviation over the taxels of the rise of the offset during the recording."""
+    wander: float = 0.0
+    """Standard deviation of the offsets at the end of the recording: random walks from zero."""
     crosstalk: float = 0.0
     """Part of the pressure of each neighbour that a taxel reads."""
     module: int = 0
     """Taxels, about, that share a module, the only ones to crosstalk; 0: all."""
+    line: int = 0
+    """Taxels of a line of a matrix, in the order of their numbers, each of which reads `crosstalk`
+    of every other one; 0: neighbours crosstalk."""
     creep: float = 0.0
     """Relative rise of the reading under a pressure that is held for ever."""
     creep_time: float = 1.0
@@ -98,6 +103,9 @@ class Sensors:
             if e.module:
                 module = modules(near, self.count // e.module)
                 beside &= module[:, None] == module
+            if e.line:
+                line = np.arange(self.count) // e.line
+                beside = (line[:, None] == line) & (near > 0)
             pressure = pressure + e.crosstalk * pressure @ beside
         if e.creep:
             pressure = pressure + e.creep * crept(pressure, time, dwell, e.creep_time)
@@ -108,7 +116,10 @@ class Sensors:
         rise = np.linspace(0.0, 1.0, len(pressure))[:, None]
         warm = 1 - np.exp(-WARMING * rise)
         reading = (1 + e.warm_gain * warm) * reading + unit * e.warm_offset * warm
-        return reading + unit * (e.offset * self._draw(4) + rise * e.drift * self._draw(5))
+        steps = np.random.default_rng([self.seed, 10]).normal(size=reading.shape)
+        walk = np.cumsum(steps, axis=0) / np.sqrt(len(steps))
+        offset = e.offset * self._draw(4) + rise * e.drift * self._draw(5) + e.wander * walk
+        return reading + unit * offset
 
     def recorded(self, exact: Array) -> tuple[Array, float]:
         """What is written down (m, n) for exact readings, and the threshold that it has to pass."""

@@ -1,4 +1,6 @@
-"""Pressures that no contact model of the package describes: oblong patches, two contacts, drag."""
+"""Pressures that no contact model of the package describes: patches that are oblong or skewed, two
+contacts, drag.
+"""
 
 from __future__ import annotations
 
@@ -46,6 +48,34 @@ class Oblong:
 
 
 @dataclass(frozen=True)
+class Skewed:
+    """Sliding contacts that press more in front, by (1 + skew x) at x radii along the motion."""
+
+    profile: Profile
+    radius: float
+    """m."""
+    skew: float = 0.3
+
+    def __call__(self, touch: Touch, positions: Array) -> Array:
+        """Means (m, n), Pa, of the pressure over the taxels' discs."""
+        offset = positions - touch.points[:, None, :]
+        motion = directions(touch) if len(touch.points) > 1 else sphere.tangents(touch.points)[0]
+        x = np.einsum("mnj,mj->mn", offset, motion)
+        y = np.einsum("mnj,mj->mn", offset, np.cross(touch.normals, motion))
+        near = np.hypot(x, y) < REACH
+        force = np.broadcast_to(touch.force[:, None], near.shape)[near]
+        node, weight = np.polynomial.legendre.leggauss(6)
+        pressure, mean = np.zeros_like(x), np.zeros(len(force))
+        for radius, w in zip(sphere.DISC_RADIUS * np.sqrt((node + 1) / 2), weight, strict=True):
+            for turn in 2 * np.pi * np.arange(12) / 12:
+                u, v = x[near] + radius * np.cos(turn), y[near] + radius * np.sin(turn)
+                factor = np.maximum(1 + self.skew * u / self.radius, 0.0)
+                mean += w / 24 * factor * self.profile(np.hypot(u, v), force)
+        pressure[near] = mean
+        return pressure
+
+
+@dataclass(frozen=True)
 class Pair:
     """A second contact of the same force beside some of the contacts."""
 
@@ -80,8 +110,12 @@ class Drag:
         """Pressures (m, n), Pa."""
         if len(touch.points) < 2:
             return self.pressures(touch, positions)
-        motion = np.gradient(touch.points, axis=0)
-        motion -= np.sum(motion * touch.normals, axis=1, keepdims=True) * touch.normals
-        motion /= np.linalg.norm(motion, axis=1, keepdims=True)
-        points = sphere.moved(touch.points, motion, -self.lag)
+        points = sphere.moved(touch.points, directions(touch), -self.lag)
         return self.pressures(Touch(points, touch.force), positions)
+
+
+def directions(touch: Touch) -> Array:
+    """Unit tangents (m, 3) along the path of the contacts."""
+    motion = np.gradient(touch.points, axis=0)
+    motion -= np.sum(motion * touch.normals, axis=1, keepdims=True) * touch.normals
+    return np.asarray(motion / np.linalg.norm(motion, axis=1, keepdims=True))

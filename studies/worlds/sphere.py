@@ -85,8 +85,8 @@ def moved(points: Array, along: Array, by: Array | float) -> Array:
     return np.asarray(RADIUS * out / np.linalg.norm(out, axis=1, keepdims=True))
 
 
-def scattered(touch: Touch, sigma: float, seed: int) -> Touch:
-    """The contacts as a robot measures them: off by `sigma`, m, along each of two tangents."""
+def scattered(touch: Touch, sigma: Array, seed: int) -> Touch:
+    """The contacts as a robot measures them: off by `sigma` (m,), m, along each of two tangents."""
     first, second = tangents(touch.points)
     off = sigma * np.random.default_rng([seed, 2]).normal(size=(2, len(touch.points)))
     return replace(touch, points=moved(moved(touch.points, first, off[0]), second, off[1]))

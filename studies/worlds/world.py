@@ -19,6 +19,8 @@ from .sphere import Touch
 
 UNEVEN = 2e-3
 """Length, m, over which the stiffness of an uneven skin is correlated: that of cells of foam."""
+STRAY = 3e-3
+"""Standard deviation, m, of stray contact points along each tangent."""
 Pressures = Callable[[Touch, Array], Array]
 """(contacts, positions (n, 3), m) -> pressures (m, n), Pa, that the taxels feel."""
 
@@ -31,6 +33,9 @@ class World:
     electronics: Electronics = field(default_factory=Electronics)
     scatter: float = 0.0
     """Standard deviation, m, of the recorded contact points along each tangent."""
+    strays: float = 0.0
+    """Share of the contacts whose recorded points are `STRAY` off, as of a tracker that loses its
+    target."""
     uneven: float = 0.0
     """Standard deviation of ln stiffness of the skin over the body, correlated over `UNEVEN`: a
     contact reads as one of that much more force."""
@@ -81,7 +86,8 @@ def record(world: World, seed: int) -> Sample:
     positions, guard = np.split(every, [world.taxels])
     touch = sphere.spiral(world.contacts, positions, seed)
     sensors = Sensors(world.electronics, peak(world.pressures), world.taxels, seed)
-    measured = sphere.scattered(touch, world.scatter, seed)
+    stray = np.random.default_rng([seed, 11]).random(world.contacts) < world.strays
+    measured = sphere.scattered(touch, np.where(stray, STRAY, world.scatter), seed)
     rng = np.random.default_rng([seed, 7])
     force = touch.force * np.exp(world.force_error * rng.normal(size=world.contacts))
     stiffness = np.exp(world.uneven * sphere.stiffness(touch.points, UNEVEN, seed))

@@ -1,7 +1,6 @@
 """`meshskin live` and `meshskin run --live`, without a browser."""
 
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,10 +17,15 @@ pytest.importorskip("viser", reason='no viser: pip install "meshskin[live]"')
 def log(noisy, tmp_path_factory):
     """A short recording of the noisy sphere: two taxels, touched in their neighbourhood."""
     path = tmp_path_factory.mktemp("live") / "touches"
-    rng = np.random.default_rng(0)
-    near = noisy.skin.positions[:2].repeat(3, axis=0)
-    ms.press(noisy, near + rng.normal(scale=1.5e-3, size=near.shape), seed=1).save(path)
+    touches(noisy, 3).save(path)
     return str(path)
+
+
+def touches(noisy, count: int) -> ms.Recording:
+    """So many contacts near each of two taxels."""
+    rng = np.random.default_rng(0)
+    near = noisy.skin.positions[:2].repeat(count, axis=0)
+    return ms.press(noisy, near + rng.normal(scale=1.5e-3, size=near.shape), seed=1)
 
 
 @pytest.fixture
@@ -52,11 +56,11 @@ def test_a_recording_is_shown_to_its_end(log, viewer, monkeypatch, capsys):
     assert live_of(log) == 0
     assert viewer[-1].row == 5
     assert viewer[-1].status.used == 6
-    assert said == ["the replay is over; nothing was written"]
+    assert said[-1].endswith("the replay is over; nothing was written")
     told = capsys.readouterr()
     assert "live page: http://127.0.0.1:" in told.out
     assert "6 contacts" in told.out
-    assert told.err == "meshskin: no browser could be opened; open the page yourself\n"
+    assert told.err.startswith("meshskin: no browser could be opened; open the page yourself\n")
 
 
 def test_control_c_ends_as_elsewhere(log, viewer, monkeypatch, capsys):
@@ -98,8 +102,9 @@ def test_without_the_extra_the_pip_command_is_named(command, monkeypatch, capsys
 
 
 def test_a_run_is_shown_before_its_results(noisy, viewer, monkeypatch, tmp_path, capsys):
-    recording = ms.press(noisy, noisy.skin.positions[:2], seed=1)
-    found = SimpleNamespace(belief=None, fit=None)
+    recording = touches(noisy, 9)
+    with pytest.warns(ms.LeftOutWarning):
+        found = ms.calibrate(recording, noisy.belief())
 
     def run(*arguments, watch, **options):
         watch(noisy, recording, found)
@@ -109,5 +114,19 @@ def test_a_run_is_shown_before_its_results(noisy, viewer, monkeypatch, tmp_path,
     code = main(["run", "sphere_noisy", "--out", str(tmp_path), "--live", "--port", "0",
                  "--no-browser", "--speed", "32"])  # fmt: skip
     assert code == 2
-    assert viewer[-1].status.used == 2
-    assert "this is all" in capsys.readouterr().err
+    assert viewer[-1].status.used == 18
+    told = capsys.readouterr()
+    assert "this is all" in told.err
+    assert f"all contacts together: {found!r}" in told.out
+
+
+@pytest.mark.parametrize(("count", "words"), [(9, "8 of 80 taxels"), (1, "no calibration of all")])
+def test_the_page_ends_with_the_calibration_of_all_contacts(
+    noisy, viewer, monkeypatch, tmp_path, capsys, count, words
+):
+    shown = []
+    monkeypatch.setattr(Panel, "conclude", lambda self, found: shown.append(found))
+    touches(noisy, count).save(tmp_path / "log")
+    assert live_of(str(tmp_path / "log"), "--no-browser") == 0
+    assert words in capsys.readouterr().out
+    assert len(shown) == (count == 9)

@@ -31,6 +31,8 @@ def test_columns_are_those_of_pyarrow(name):
 
 def test_a_column_of_another_type():
     assert arrow.column(np.arange(3), pa.int32()).equals(pa.array([0, 1, 2], pa.int32()))
+    with pytest.raises(pa.ArrowInvalid, match="2147483648"):
+        arrow.column(np.array([2**31]), pa.int32())
 
 
 @pytest.mark.parametrize("words", [[], ["a"], ["größer", "", "x"]])

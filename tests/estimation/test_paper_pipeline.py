@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+import meshskin as ms
 from meshskin.core import se3
+from meshskin.core.errors import CalibrationError
 from meshskin.estimation import paper_pipeline
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.demonstration import aligned
+from meshskin.estimation.demonstration import aligned, demonstrate
 
 
 def turned(rng, n):
@@ -54,3 +56,14 @@ def test_errors_grow_with_the_noise_and_iterations_reduce_them(world):
     assert (after[0] < [0.7 * start[0], 0.3 * start[0], 0.3 * start[0]]).all()
     assert after[1, 2] > 3 * after[0, 2]  # five times the noise, drawn anew
     assert not np.allclose(after[1, 2] / after[0, 2], 5.0, rtol=1e-3)
+
+
+def test_the_demonstration_needs_half_of_the_taxels(noisy):
+    close = np.argsort(np.linalg.norm(noisy.skin.positions - noisy.skin.positions[0], axis=1))
+    rows = np.append(close[:2], close[-3:])  # two neighbours, and three far from them
+    skin = ms.Skin(noisy.skin.poses[rows], np.arange(5), noisy.skin.disc_radius)
+    between = skin.positions[:2].mean(axis=0)
+    recording = ms.press(noisy.with_(skin=skin), np.tile(between, (4, 1)), seed=1)
+    with pytest.raises(CalibrationError, match=r"fewer than half .*, got 2 of 5"):
+        demonstrate(skin.poses, skin.ids, recording)
+    assert len(demonstrate(skin.poses[:4], skin.ids[:4], recording).rows) == 2

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import matplotlib
 import numpy as np
 import pytest
+from PIL import Image
 
 from meshskin.core.errors import OutputError
 from meshskin.report import curves, maps, precision, scene3d, theme
@@ -110,9 +111,22 @@ def test_iterations_give_first_middle_and_last_with_their_mean_error(case: Simpl
         "Iteration 1: mean 5.00 mm off",
         "Iteration 4: mean 1.00 mm off",
     ]
-    alone = maps.iterations(run, plane, only=1)
-    assert [a.get_title(loc="left") for a in alone.axes] == ["Iteration 1: mean 5.00 mm off"]
     assert representative_iterations(steps[:1]) == (0, 0, 0)
+
+
+def test_panels_of_a_figure_are_files_of_their_own(tmp_path: Path) -> None:
+    figure = theme.new_figure(6.0, 2.0)
+    for k in range(3):
+        theme.add_axes(figure, 0.5 + 2.0 * k, 0.5, 1.2, 1.2).set_title(f"panel {k}")
+    whole = Image.open(theme.save(figure, tmp_path, "whole")[0])
+    paths = theme.save_panels(figure, tmp_path, ["a", "b", "c"])
+    assert [p.name for p in paths] == ["a.png", "a.svg", "b.png", "b.svg", "c.png", "c.svg"]
+    panels = [np.asarray(Image.open(p)) for p in paths[::2]]
+    np.testing.assert_array_equal(np.hstack(panels), np.asarray(whole))
+    for k, path in enumerate(paths[1::2]):
+        text = path.read_text()
+        assert [other for other in range(3) if f"<!-- panel {other} -->" in text] == [k]
+        assert 'width="144pt"' in text
 
 
 def test_errors_count_every_taxel_once_and_mark_the_bound() -> None:
@@ -120,10 +134,12 @@ def test_errors_count_every_taxel_once_and_mark_the_bound() -> None:
     rows = {"joint": 1e-5 * rng.random(80), "three circles": 1e-3 * rng.random(80)}
     rows["joint"][:2] = np.nan
     figure = curves.errors(rows, 4.2e-6)
-    counts = [sum(p.get_data().values.sum() for p in a.patches) for a in figure.axes]
-    assert counts == [78, 80]
+    (axes,) = figure.axes
+    (upper, lower), (low, high) = (p.get_data() for p in axes.patches), axes.get_ylim()
+    counts = [np.sum(row.values - row.baseline) for row in (upper, lower)]
+    np.testing.assert_allclose(counts, [78, 80])
+    assert low == lower.baseline < lower.values.max() < upper.baseline < upper.values.max() < high
     assert "Cramér-Rao bound 0.00420 mm" in texts(figure)
-    assert len({a.get_xlim() for a in figure.axes}) == 1
     curves.errors({"exact": np.zeros(5)})
     curves.errors({"nothing": np.full(5, np.nan)}, np.nan)
 

@@ -258,6 +258,9 @@ def test_a_calibration_alone_is_enough(case: SimpleNamespace, tmp_path: Path) ->
     c = case.calibration()
     files = page.report(tmp_path / "report.html", body=None, calibration=c)
     assert "78 of 80 taxels" in Page(files[0]).text
+    assert "<h1>Skin calibration</h1>" in files[0].read_text(encoding="utf-8")
+    named = page.report(tmp_path / "c.html", body=None, calibration=replace(c, frame="palm"))
+    assert "<h1>Skin calibration: palm</h1>" in named[0].read_text(encoding="utf-8")
     assert page.report(tmp_path / "b.html", body=None, calibration=c, truth=case.skin())
 
 

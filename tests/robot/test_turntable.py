@@ -111,6 +111,24 @@ def test_all_of_60_taxels_of_a_real_arm_of_five_joints_are_reached():
     assert (np.minimum(q - arm.lower, arm.upper - q) >= posture.MIN_MARGIN).all()
 
 
+def test_an_so101_follows_lanes_over_all_of_a_skin():
+    """Five joints that hold one spin at each contact; a capsule in front of the gripper."""
+    arm = Arm.from_urdf(urdf("so101.urdf"), tip="gripper_frame_link")
+    body = ms.Body.capsule(radius=0.02, length=0.06)
+    skin = ms.Skin.cover(body, spacing=6e-3, region=ms.Disc((0.02, 0.0, 0.0), radius=0.02), seed=1)
+    plan = ms.explore(
+        body,
+        skin,
+        arm=arm,
+        mount=transform(np.eye(3), [0.0, 0.0, 0.04]),
+        indenter=ms.Indenter(5e-3, (0.28, 0.0, 0.25)),
+        material=ms.Material(young=4e5),
+        force=1.0,
+    )
+    assert len(skin) > 35
+    assert plan.unreachable == {}
+
+
 def test_a_finger_follows_its_path_where_the_spin_that_it_can_hold_is_narrow():
     arm, body = finger(), ms.Body.capsule(radius=0.008, length=0.018)
     mount = transform(np.eye(3), [0.0, 0.0, 0.013])

@@ -243,6 +243,6 @@ def test_a_scene_file_says_direction_and_base():
 
 def test_a_wall_out_of_reach_is_named(sphere):
     behind = sphere.with_(indenter=replace(sphere.indenter, direction=(1.0, 0.0, 0.0)))
-    words = r"nothing of the skin can be explored: joint limit.* \(0.424, -0.424, 0.7\) m"
+    words = r"explored: joint limit.* \(0.424, -0.424, 0.7\) m; move .* \(indenter.carried_by\)"
     with pytest.raises(ReachError, match=words):
         ms.simulate(behind)

@@ -45,27 +45,32 @@ def test_air_and_sliding_are_told_from_the_touch():
     assert got.lost == 2  # of the second touch: the first is waited for
 
 
-def motion(force, phase):
-    """A motion table at steps of 1 ms with a reference of 3 N."""
+def sliding(force, phase):
+    """A recording with steps of 1 ms, a reference of 3 N, and a contact along x every 10 ms."""
     time = 1e-3 * np.arange(len(force))
     columns = {"time": time, "phase": phase, "force": force, "reference": np.full(len(force), 3.0)}
-    return pa.table(columns)
+    at, zero = time[::10], np.zeros(len(time[::10]))
+    contacts = {"time": at, "px": at, "py": zero, "pz": zero, "nx": zero, "ny": zero}
+    contacts |= {"nz": zero + 1.0, "force": zero + 3.0}
+    readings = {"time": at, "taxel": zero.astype(int), "pressure": zero + 1.0}
+    return ms.Recording(pa.table(contacts), pa.table(readings), {}, pa.table(columns))
 
 
 @pytest.mark.parametrize("low_or_high", [2.3, 3.7])
 def test_a_force_that_leaves_its_reference_after_settling_is_described(low_or_high):
     phase = ["approach"] * 5 + ["touch"] * 5 + ["hold"] * 10 + ["slide"] * 20
     force = np.concatenate([np.zeros(5), np.full(5, 9.0), np.full(30, 3.0)])
-    assert describe_departure(motion(force, phase)) == ""
+    assert describe_departure(sliding(force, phase)) == ""
     force[30] = 3.0 + 0.9 * (low_or_high - 3.0)
     force[31] = low_or_high
-    words = describe_departure(motion(force, phase))
+    words = describe_departure(sliding(force, phase))
     assert f"{low_or_high:g} N instead of 3 N at 0.031 s" in words
+    assert "near (30.0, 0.0, 0.0) mm of the body" in words
     assert "in 10 % of the steps" in words
     assert "exploration.speed" in words
     force[32] = 0.0
     assert "0 N (contact lost) instead of 3 N at 0.032 s" in describe_departure(
-        motion(force, phase)
+        sliding(force, phase)
     )
 
 

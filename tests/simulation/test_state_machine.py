@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.core.errors import SimulationError
+from meshskin.core.errors import ReachError, SimulationError
 from meshskin.core.se3 import exp_so3, poses_of_states, transform
 from meshskin.exploration.path import ROWS, Path
 from meshskin.geometry.region import Cap
@@ -88,6 +88,33 @@ def test_a_place_that_the_body_cannot_come_to_is_given_up(prepared, sphere, trac
     explorer = ExplorationStateMachine(simulator, places, SETTINGS)
     steps = [s for s in explorer.run() if s.phase == state_machine.SLIDE]
     assert (explorer.skips, sum(len(s.time) for s in steps)) == (1, 600)
+    assert np.linalg.norm(steps[-1].outputs[-1, :3] - path.points[1799]) < 1e-3
+
+
+def test_an_arm_that_finds_no_way_to_a_place_goes_on_to_the_next(
+    prepared, track, along, monkeypatch
+):
+    """It has left the first place when it looks for a way to the second, and does not leave it
+    again."""
+    simulator, path = prepared("arm")
+    ways = []
+
+    def joint_path(loop, body, start, goal):
+        ways.append(start)
+        if len(ways) == 1:
+            raise ReachError("no way")
+        return found(loop, body, start, goal)
+
+    found = transfer.joint_path
+    monkeypatch.setattr(transfer, "joint_path", joint_path)
+    places = [track[:300], track[1000:1200], track[1500:1800]]
+    explorer = ExplorationStateMachine(simulator, places, SETTINGS, along[[0, 1000, 1500]])
+    steps = list(explorer.run())
+    order = [PHASES[phase] for phase, _ in groupby(steps, key=lambda step: step.phase)]
+    once = ["approach", "touch", "hold", "slide"]
+    assert order == [*once, "leave", "next", *once]
+    assert (explorer.skips, simulator.given_up) == (1, ["no way"])
+    np.testing.assert_array_equal(ways[0], ways[1])
     assert np.linalg.norm(steps[-1].outputs[-1, :3] - path.points[1799]) < 1e-3
 
 

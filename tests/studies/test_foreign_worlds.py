@@ -223,6 +223,7 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
         ("drag_01", {"drag": 0.1e-3}, 0.03e-3),
         pytest.param("drag_09", {"drag": 0.9e-3}, 0.03e-3, marks=pytest.mark.slow),
         ("force_nominal", {}, 0.05e-3),
+        ("strays", {}, 0.04e-3),
         ("hertz", {}, 0.04e-3),
     ],
 )
@@ -269,7 +270,10 @@ def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, tr
         "oblong_13",
         *(
             pytest.param(name, marks=pytest.mark.slow)
-            for name in ("oblong_13_turns", "oblong_20", "oblong_20_turns")
+            for name in (
+                *("oblong_13_turns", "oblong_20", "oblong_20_turns"),
+                *("wander", "matrix", "skewed"),
+            )
         ),
     ],
 )

@@ -1,11 +1,14 @@
 """A time that is asked for is a deadline: what does not fit is left out, named, or refused."""
 
+import subprocess
+import sys
 from time import perf_counter, process_time
 
 import numpy as np
 import pytest
 
 from meshskin import cli, pipeline
+from meshskin.core import deadline
 from meshskin.core.deadline import Deadline, check_run_seconds
 from meshskin.core.errors import OutOfTime, StudyError
 from meshskin.estimation.calibrate import Estimation
@@ -60,7 +63,7 @@ def test_a_time_in_which_no_run_can_end_is_refused_at_once(tmp_path, capsys):
     assert cli.main(["run", "sphere", "--seconds", "0.001", *out]) == 2
     assert process_time() - began < 1.0
     line = capsys.readouterr().err
-    assert "the time is too short, got 0.001 s, limit: a run takes 2 s at least" in line
+    assert "the time is too short, got 0.001 s, limit: a run takes" in line
     assert not (tmp_path / "out").exists()
     with pytest.raises(StudyError, match=r"a run takes 7\.1 s at least"):
         check_run_seconds(7.0, 7.1)
@@ -162,3 +165,40 @@ def pipeline_run(scene, machine, path):
     from meshskin.simulation.simulate import run
 
     return run(scene, machine, path)
+
+
+def test_a_crowded_machine_refuses_before_the_packages_are_read(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("meshskin.core.deadline.crowding", lambda began: 5.0)
+    monkeypatch.setattr(pipeline, "run", lambda *a, **k: pytest.fail("the run began"))
+    assert cli.main(["run", "sphere", "--seconds", "9", "--out", str(tmp_path / "out")]) == 2
+    assert "a run takes 10 s at least" in capsys.readouterr().err
+
+
+def test_a_machine_is_crowded_by_the_least_of_what_tells_it(monkeypatch):
+    def after(wall, load, running):
+        monkeypatch.setattr(deadline.os, "getloadavg", lambda: (load, load, load))
+        monkeypatch.setattr(deadline.os, "cpu_count", lambda: 2)
+        words = f"{load} {load} {load} {running}/300 4711"
+        monkeypatch.setattr(deadline.Path, "read_text", lambda self: words)
+        return deadline.crowding((perf_counter() - wall, process_time() - 1.0))
+
+    assert after(1.0, 8.0, 8) == pytest.approx(1.0, abs=0.05)
+    assert after(3.0, 8.0, 8) == pytest.approx(3.0, abs=0.1)
+    assert after(9.0, 8.0, 6) == 3.0
+    assert after(9.0, 5.0, 8) == 2.5
+    assert after(9.0, 0.5, 1) == 1.0
+    monkeypatch.setattr(deadline.Path, "read_text", lambda self: "")
+    assert deadline.crowding((perf_counter() - 9.0, process_time() - 1.0)) == 1.0
+
+
+def test_a_command_begins_with_its_process():
+    code = (
+        "import time; from meshskin.core.deadline import command_began; "
+        "wall, processor = command_began(); "
+        "print(time.perf_counter() - wall, time.process_time() - processor)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    wall, processor = map(float, done.stdout.split())
+    assert 0.9 * processor < wall < 60.0  # 10 ms is the resolution of the start
+    began = deadline.command_began()  # here, after many other commands
+    assert perf_counter() - began[0] == pytest.approx(deadline.STARTED, abs=0.05)

@@ -10,7 +10,7 @@ Each taxel may have nuisance parameters of its own: ln gain, offset, and the off
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,11 +83,13 @@ ELECTRONICS = ("hysteresis", "crosstalk", "creep")
 """Further ones, estimated where the readings show them (joint/electronics.py)."""
 WARMING = ("gain_drift", "offset_drift")
 """Drifts of the logarithm of the gain and of the offset of all taxels, estimated likewise."""
+DEPARTURES = (*ELECTRONICS, *WARMING, "drift")
+"""What makes a reading depend on its taxel's past, on its neighbours or on the time."""
 LEARNED_PRIORS = {"modulus": 0.5, "scale": 0.5}
 """Their priors that differ from PRIORS: readings in a unit of their own say nothing about E*."""
 MIN_KEPT = 0.05
 """Least part of a reading at the typical level that compression leaves: no sensor has less."""
-LEARNED_ONLY = (*LEARNED[1:], *ELECTRONICS, *WARMING, "drift")
+LEARNED_ONLY = (*LEARNED[1:], *DEPARTURES)
 """Parameters that a learned response estimates of itself, and a contact model does not have."""
 LOGARITHMS = ("modulus", "force_scale", "scale", "gain", "mesh_scale")
 """Parameters, also of a contact motion, that are natural logarithms of a factor."""
@@ -168,6 +170,14 @@ class GlobalParameters:
         for label in self.labels[at]:
             del found[label]
         return found | self.motion.unknowns(s[at], covariance[at, at])
+
+    def without(self, names: Collection[str]) -> tuple[GlobalParameters, np.ndarray]:
+        """These parameters but for the global ones `names`, and the rows of s that are left."""
+        kept, columns = tuple(n for n in self.names if n not in names), self.columns
+        row = np.arange(len(self.sigma))
+        rows = np.concatenate([row[:0], *(row[columns[name]] for name in kept)])
+        motion = None if MOTION in names else self.motion
+        return replace(self, names=kept, sigma=self.sigma[rows], motion=motion), rows
 
     @property
     def move_contacts(self) -> bool:

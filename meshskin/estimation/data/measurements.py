@@ -197,6 +197,10 @@ class Measurements:
             part.__dict__["slope"] = self.slope[rows]
         return part
 
+    def without_contacts(self, rows: np.ndarray) -> Measurements:
+        """These measurements without the readings and silences of the contacts `rows`."""
+        return replace(self.select(~np.isin(self.contact, rows)), misfitting=rows)
+
     def referred_to(self, references: tuple[float, ...]) -> Measurements:
         """These measurements with `LearnedResponse.references`; as they are without any."""
         if not references:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...contact import ContactModel
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from .sensor_range import constant_taxels
 
@@ -24,8 +24,11 @@ if TYPE_CHECKING:
 DENSE = 0.5
 """Fraction of the contacts from which a taxel that reads in them is read at rest, too."""
 NARROWER = 0.8
-"""Ratio of the spreads of the contacts in which a taxel reads little and much, below which readings
-fall with pressure; sound ones have 1.3 to 10, reversed ones the inverse."""
+"""Ratio of the spreads of the contacts in which a taxel reads least and most, below which readings
+fall with pressure; sound ones have 1.9 to 18, reversed ones the inverse."""
+EXTREMES = 5
+"""Smallest and largest readings, at most, of a taxel that are compared, and a third of all: fewer
+than press it where it is read at rest, too."""
 CHANCE = 0.05
 """Probability by chance, below which so many taxels' spreads have a ratio below 1 that readings
 fall: 5 of 5 taxels."""
@@ -215,9 +218,8 @@ def falls_with_pressure(
     """Whether the readings `values` (k,) of taxels (k,) in contacts (k,) at `points` (m, 3), m,
     fall where a taxel is pressed: the contacts that press it lie together.
 
-    Contacts are weighted by the fourth power of what a reading is above a taxel's least, and below
-    its largest one: noise at rest then counts for little. Median of the taxels; a few do not show
-    it.
+    Compared are the contacts of a taxel's EXTREMES smallest and largest readings, by medians: some
+    of these may be outlying. Median of the taxels; a few do not show it.
     """
     from scipy.special import bdtrc
 
@@ -228,16 +230,19 @@ def falls_with_pressure(
     count = np.bincount(taxel, minlength=n)
     saturated = np.bincount(taxel, values == high[taxel], n) > count / 2
     saturated &= count <= DENSE * len(points)  # else the largest value is that at rest
-    compared = (count >= MIN_COMPARED) & (high > low) & ~saturated
-    if not compared.any():
+    compared = np.flatnonzero((count >= MIN_COMPARED) & (high > low) & ~saturated)
+    if not len(compared):
         return False
-    above = (values - low[taxel]) / np.where(compared, high - low, 1.0)[taxel]
+    # equal readings in no order of time: consecutive contacts lie together, too
+    order = np.lexsort((np.random.default_rng(0).permutation(len(values)), values, taxel))
+    rank, end = np.arange(EXTREMES), np.cumsum(count)[compared, None]
+    used = rank < np.maximum(count[compared, None] // 3, 2)
     spreads = []
-    for weight in ((1 - above) ** 4, above**4):
-        total = np.maximum(np.bincount(taxel, weight, n), 1e-300)
-        centre = sums_by_group(weight[:, None] * points[contact], taxel, n) / total[:, None]
-        square = weight * np.sum((points[contact] - centre[taxel]) ** 2, axis=1)
-        spreads.append(np.sqrt(np.bincount(taxel, square, n) / total)[compared])
+    for rows in (end - count[compared, None] + rank, end - 1 - rank):
+        at = points[contact[order[np.where(used, rows, end - 1)]]]
+        at = np.where(used[:, :, None], at, np.nan)
+        off = np.linalg.norm(at - np.nanmedian(at, axis=1, keepdims=True), axis=2)
+        spreads.append(np.nanmedian(off, axis=1))
     ratio = spreads[0] / np.maximum(spreads[1], 1e-12)
     chance = bdtrc(int(np.sum(ratio < 1)) - 1, len(ratio), 0.5)
     return bool(np.median(ratio) < NARROWER and chance < CHANCE)

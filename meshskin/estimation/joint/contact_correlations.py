@@ -1,14 +1,27 @@
-"""Errors of contacts that their neighbours share, in an estimate with a learned response.
+"""Errors that neighbouring contacts share, in an estimate with a learned response.
 
-The estimate takes the errors of contact points and forces as independent. Where neighbouring
-contacts err alike, many contacts tell less than they seem to.
+The estimate takes displacements and force errors of the contacts and the noise of the readings as
+independent. Where those of neighbouring contacts are alike, many contacts tell less than they seem
+to: over the facets of a mesh, or where the stiffness of a skin or the shape of patches varies over
+the body. How much less follows from variance components, by the method of moments: correlograms of
+what the estimate has found are compared with those that it would find of white errors and of random
+fields over the body, which are drawn and estimated by the same normal equations.
+
+Source: Cressie, "Statistics for Spatial Data" (1993), 2.4 and 2.6; Rahimi and Recht, "Random
+features for large-scale kernel machines" (2007), for the fields.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
+from scipy import sparse
+from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
+from ...core.arrays import Array
 from .deviations import FLOOR
 from .random_effects import RandomEffects
 
@@ -16,16 +29,39 @@ MAX_CORRELATION, LARGEST_CORRELATION = 0.4, 0.95
 """Correlation of the displacements of neighbouring contacts above which they are no scatter:
 independent ones have -0.1 to 0.15, by the taxels that they share; and the largest one that tells
 how many contacts they stand for."""
-FORCE_BINS = 16
-"""Bins of the correlogram of force errors, up to two reaches of a contact."""
-FORCE_CORRELATION = 0.05, 5.0
-"""Least correlation of the force errors within half a reach that is no chance, and in standard
-errors of independent ones; the taxels that contacts share make it -0.04 to -0.1 where the forces
-scatter. A skin whose stiffness varies by 8 % over 2 mm has 0.19 to 0.24 with 3,000 contacts."""
-CENTRES = 2000
-"""Contacts, about, whose neighbours are compared: more change the correlogram little."""
 MIN_CONTACTS = 20
-"""Contacts, at least, whose displacements are compared."""
+"""Contacts, at least, whose errors are compared."""
+LENGTH = 0.25
+"""Length over which a field is correlated, in reaches of a contact. Longer ones displace contacts
+and taxels together, so that the correlograms hardly tell them: with further lengths of 0.4 to 0.8
+variances were up to 4 times too large, on raw meshes."""
+RINGS, FAR = 12, 1.5
+"""Bins of a correlogram beside that of distance zero, and its end in reaches of a contact."""
+CENTRES = 2000
+"""Contacts, and readings, about, whose neighbours are compared: more change little."""
+WAVES = 32
+"""Cosines of a field: its sums over a correlogram are those of a Gaussian one to a few percent."""
+MODEL_ERROR = 0.03
+"""Error of a correlogram of Gaussian fields, relative to its value at distance zero: no field of
+the world has exactly their correlations."""
+MIN_GAIN = 20.0
+"""Decrease of the misfit of the correlograms, as chi-square, from which fields are no chance: at
+most 5 in 24 recordings of worlds without any, 24 or more in 50 of uneven skins and raw meshes."""
+FORCE_UNIT = 0.02
+"""Deviation of ln force of the drawn force errors, at least: with less, an estimate that finds
+none would take other errors for a great many of them."""
+KINDS = ("contact points", "forces", "readings")
+"""What errs, in the order of the correlograms."""
+
+
+@dataclass(frozen=True)
+class AlikeErrors:
+    """Errors that neighbouring contacts share."""
+
+    factor: float = 1.0
+    """Factor of the taxels' variances by them."""
+    parts: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """What fields of each of KINDS have in it."""
 
 
 def fewer_contacts(correlation: float) -> float:
@@ -42,49 +78,137 @@ def neighbour_correlation(effects: RandomEffects) -> float:
     Errors of a kinematic model or of the clocks change slowly over the body or the path; scatter
     does not.
     """
-    contacts, errors = effects.linearized.at(effects.unknowns.s), effects.unknowns.errors
     used = np.flatnonzero(effects.probes.touched)
     if len(used) < MIN_CONTACTS or effects.deviations.position <= FLOOR["position"]:
         return 0.0
-    across = np.cross(contacts.normals, contacts.directions)
-    moved = errors[:, :1] * contacts.directions + errors[:, 1:2] * across
-    points, moved = effects.data.points[used], moved[used]
+    errors, points = effects.unknowns.errors[used, :2], effects.data.points[used]
+    moved = np.einsum("mac,ma->mc", _tangents(effects)[used], errors)
     nearest = cKDTree(points).query(points, k=2)[1][:, 1]
     power = float(np.sum(moved**2))
     return float(np.sum(moved * moved[nearest])) / power if power > 0 else 0.0
 
 
-def alike_forces(effects: RandomEffects) -> tuple[float, float]:
-    """Correlation of the errors of ln force of neighbouring contacts, and how many contacts one
-    stands for by it; (0, 1) where chance explains it.
+def alike_errors(effects: RandomEffects) -> AlikeErrors:
+    """What fields of errors, correlated over `LENGTH`, add to the taxels' variances."""
+    if int(effects.probes.touched.sum()) < MIN_CONTACTS:
+        return AlikeErrors()
+    correlograms = _Correlograms(effects)
+    seen = correlograms.of(effects.unknowns.errors[..., None], effects.residuals()[:, None])[:, 0]
+    drawn = [
+        correlograms.drawn(kind, length) for length in (0.0, LENGTH) for kind in range(len(KINDS))
+    ]
+    mean, deviation = (np.stack(part, axis=1) for part in list(zip(*drawn, strict=True))[:2])
+    added = np.array([part[2] for part in drawn])
+    at_zero = np.repeat(seen[:: RINGS + 1], RINGS + 1)
+    believed = np.array([*correlograms.believed, 0.0, 0.0, 0.0])
+    weight = believed
+    for _ in range(3):  # the sampling errors depend on the weights, but little
+        sigma = np.sqrt(deviation**2 @ weight**2 + (MODEL_ERROR * at_zero) ** 2 + 1e-20)
+        weight, misfit = nnls(mean / sigma[:, None], seen / sigma)
+    white = nnls(mean[:, :3] / sigma[:, None], seen / sigma)[1]
+    if white**2 - misfit**2 < MIN_GAIN:
+        return AlikeErrors()
+    parts = (weight * added)[3:]
+    factor = 1.0 + float((weight - believed) @ added)
+    return AlikeErrors(max(factor, 1.0), tuple(map(float, parts)))
 
-    Errors of a sensor differ from contact to contact. Those that contacts at one place share are
-    the skin's: a foam whose thickness or stiffness varies. They displace the taxels there, however
-    many contacts there are: of independent errors with variance v the mean of n has v / n, of these
-    v / n times the sum of the correlogram over all contacts. What the readings of a contact tell of
-    its error displaces nothing: only the rest of the variance counts.
-    """
-    used, data = np.flatnonzero(effects.probes.touched), effects.data
-    if len(used) < MIN_CONTACTS or effects.deviations.force <= FLOOR["force"]:
-        return 0.0, 1.0
-    points, error = data.points[used], effects.unknowns.errors[used, 2]
-    open_share = 1.0 - min(float(np.mean(error**2)) / effects.deviations.force**2, 1.0)
-    error = (error - error.mean()) / max(float(error.std()), 1e-300)
-    tree, far = cKDTree(points), 2.0 * float(np.median(data.reach()[used]))
-    centres = np.arange(len(used))[:: max(len(used) // CENTRES, 1)]
-    found = tree.query_ball_point(points[centres], far)
-    first = np.repeat(centres, [len(near) for near in found])
-    second = np.concatenate([np.asarray(near, dtype=int) for near in found])
-    first, second = first[first != second], second[first != second]
+
+def _tangents(effects: RandomEffects) -> Array:
+    """Unit tangents (m, 2, 3) along which the contacts' displacements are stated."""
+    contacts = effects.linearized.at(effects.unknowns.s)
+    return np.stack([contacts.directions, np.cross(contacts.normals, contacts.directions)], axis=1)
+
+
+class _Correlograms:
+    """Correlograms of the contacts' errors and of the residuals of single taxels."""
+
+    def __init__(self, effects: RandomEffects) -> None:
+        self.effects, self.fitted = effects, effects.fitted()
+        assert self.fitted.system is not None
+        self.system = self.fitted.system
+        data, readings, d = effects.data, effects.readings, effects.deviations
+        self.used = np.flatnonzero(effects.probes.touched)
+        self.clear = np.flatnonzero(effects.clear())
+        reach = float(np.median(data.reach()[self.used]))
+        self.length, self.rng = LENGTH * reach, np.random.default_rng(0)
+        self.units = max(d.position, 0.01 * reach), max(d.force, FORCE_UNIT), 1.0
+        self.believed = (d.position / self.units[0]) ** 2, (d.force / self.units[1]) ** 2, 1.0
+        """Variances that the estimate believes the errors to have, in the drawn ones'."""
+        far, own = FAR * reach, readings.taxel[self.clear]
+        at = data.points[readings.contact[self.clear]]
+        self.contacts = _rings(data.points[self.used], far)
+        self.readings = _rings(np.column_stack([at, 10 * far * own]), far)
+        self.tangents = _tangents(effects)
+
+    def of(self, errors: Array, residuals: Array) -> Array:
+        """The correlograms (3 (RINGS + 1), c) of contact errors (m, 3, c) and residuals (k, c)."""
+        moved = np.einsum("maj,mac->mjc", self.tangents, errors[:, :2])[self.used] / self.units[0]
+        force = errors[self.used, 2] / self.units[1]
+        points = sum(_products(self.contacts, moved[:, j]) for j in range(3))
+        rest = _products(self.readings, residuals[self.clear])
+        return np.concatenate([points, _products(self.contacts, force - force.mean(axis=0)), rest])
+
+    def drawn(self, kind: int, length: float) -> tuple[Array, Array, float]:
+        """Mean and standard deviation of the correlograms of what the estimate finds of unit errors
+        of one of KINDS, white ones or a field; and the mean square of what they displace a taxel
+        by, in its stated standard deviations."""
+        readings, jacobian, system = self.effects.readings, self.fitted.jacobian, self.system
+        points, unit = self.effects.data.points, self.units[kind]
+        length = self.length if length else 0.0
+        if kind == 0:
+            moved = np.stack([self._field(points, length) for _ in range(3)], axis=1)
+            moved = unit * np.einsum("maj,mjc->mac", self.tangents, moved)
+            off = np.einsum("ka,kac->kc", jacobian[:, -3:-1], moved[readings.contact])
+        elif kind == 1:
+            off = jacobian[:, -1:] * (unit * self._field(points, length))[readings.contact]
+        else:
+            off = self._field(points[readings.contact], length, readings.taxel)
+            off *= self.effects.spread[:, None]
+        weight = self.fitted.curvature[:, None]
+        x = system.solve(*system.transposed(jacobian, weight * off))
+        found = self.of(x[1], (off - system.forward(jacobian, x)) * np.sqrt(weight))
+        places = x[0][:, :2]
+        square = float(np.einsum("nic,nij,njc->", places, self._information, places))
+        return found.mean(axis=1), found.std(axis=1, ddof=1), square / places.size
+
+    @cached_property
+    def _information(self) -> Array:
+        """Inverses (n, 2, 2) of the stated covariances of the taxels' places."""
+        return np.asarray(np.linalg.inv(self.system.covariances()[0][:, :2, :2]))
+
+    def _field(self, points: Array, length: float, owner: np.ndarray | None = None) -> Array:
+        """Fields (m, c) of variance 1 at points (m, 3), m, correlated over `length`, m, or white
+        ones; a different one for each owner (m,)."""
+        count = self.effects.probes.count
+        if not length:
+            return self.rng.normal(size=(len(points), count))
+        owners = 1 if owner is None else int(owner.max(initial=0)) + 1
+        out = np.zeros((len(points), count))
+        for c in range(count):
+            for wave in self.rng.normal(size=(WAVES, 3)) / length:
+                phase = self.rng.uniform(0, 2 * np.pi, owners)
+                out[:, c] += np.cos(points @ wave + phase[0 if owner is None else owner])
+        return out * np.sqrt(2 / WAVES)
+
+
+def _rings(points: Array, far: float) -> list[sparse.csr_array]:
+    """Matrices (n, n) whose forms are the mean products over pairs of points in each ring."""
+    tree, count = cKDTree(points), len(points)
+    centres = np.arange(count)[:: max(count // CENTRES, 1)]
+    near = tree.query_ball_point(points[centres], far)
+    first = np.repeat(centres, [len(rows) for rows in near])
+    second = np.concatenate([np.asarray(rows, dtype=int) for rows in near])
     distance = np.linalg.norm(points[first] - points[second], axis=1)
-    ring = np.minimum((FORCE_BINS * distance / far).astype(int), FORCE_BINS - 1)
-    count = np.bincount(ring, minlength=FORCE_BINS)
-    total = np.bincount(ring, error[first] * error[second], FORCE_BINS)
-    pairs = max(int(count[: FORCE_BINS // 4].sum()), 1)
-    correlation = float(total[: FORCE_BINS // 4].sum()) / pairs
-    least, errors = FORCE_CORRELATION
-    if correlation < max(least, errors / np.sqrt(pairs * len(used) / len(centres) / 2)):
-        return 0.0, 1.0
-    end = np.flatnonzero((total <= 0) & (count > 0))
-    alike = float(total[: end[0] if len(end) else None].sum()) / len(centres)
-    return correlation, 1.0 + open_share * alike
+    ring = np.minimum((RINGS * distance / far).astype(int), RINGS - 1) + 1
+    ring[first == second] = 0
+    found = []
+    for k in range(RINGS + 1):
+        pair = first[ring == k], second[ring == k]
+        mean = np.full(len(pair[0]), 1 / max(len(pair[0]), 1))
+        found.append(sparse.csr_array((mean, pair), shape=(count, count)))
+    return found
+
+
+def _products(rings: list[sparse.csr_array], values: Array) -> Array:
+    """Mean products (RINGS + 1, c) of values (n, c) over the pairs of each ring."""
+    return np.array([np.sum(values * (ring @ values), axis=0) for ring in rings])

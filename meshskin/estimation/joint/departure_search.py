@@ -34,6 +34,9 @@ LEAST_GAIN = 0.5
 """Least increase of the log-likelihood by a departure, relative to what its score promises: 1.4 to
 5 where the readings have it, 0 to 0.1 where it stands in for another (studies/foreign_worlds.py
 --worlds hysteresis crosstalk; `sphere_noisy` with hysteresis, an indenter offset or scan_order)."""
+MAX_LOSS = 10.0
+"""Largest fall of the log-likelihood by a departure whose optimum was found: the prior of its
+parameters costs less, and none of them above zero would cost nothing."""
 WIDE_FORCES = 0.2
 """Deviation of ln F to start again from: that of 2 to 4 N recorded as constant, which compression
 and scale would go far to explain."""
@@ -57,27 +60,43 @@ def with_departures(
         shown = [name for name in left if left[name] > MIN_SCORE and name not in failed]
         if not shown:
             return effects, left
-        # from the first start: variances that have absorbed the departure lead to another optimum
-        extended = _extended(effects, *begin, shown[0], found[shown[0]][1])
-        start = extended.unknowns, extended.deviations
-        try:
-            converged = extended.converge()
-            if converged and shown[0] == "crosstalk":
-                extended, converged = _within_modules(extended)
-        except SingularMatrixError:
-            converged = None
-        if converged is None or not plausible(extended, shown[0]):
-            failed.add(shown[0])
+        name, start = shown[0], found[shown[0]][1]
+        extended, first, converged = _with_departure(effects, begin, name, start)
+        gain = _objective(effects) - _objective(extended) if converged is not None else -np.inf
+        if gain < -MAX_LOSS or not plausible(extended, name):
+            failed.add(name)
             continue
         # a small departure of this kind gains half its squared score; the drift's is a variance's
-        gain = LEAST_GAIN * left[shown[0]] ** 2 / 2 if shown[0] != "drift" else 0.0
-        if _objective(effects) - _objective(extended) > gain:
-            begin, effects = start, extended
+        if gain > (LEAST_GAIN * left[name] ** 2 / 2 if name != "drift" else 0.0):
+            begin, effects = first, extended
             failed = set(excluded)
         else:
-            unlikely.add(shown[0])
+            unlikely.add(name)
         if not converged:  # a response of another kind; further departures would not mend it
-            return effects, {name: left[name] for name in left if name != shown[0]}
+            return effects, {other: left[other] for other in left if other != name}
+
+
+def _with_departure(
+    effects: RandomEffects, begin: tuple[Unknowns, Deviations], name: str, start: Array
+) -> tuple[RandomEffects, tuple[Unknowns, Deviations], bool | None]:
+    """The estimate with the departure `name`, too, the unknowns and deviations that it began with,
+    and whether it converges; None where it is singular.
+
+    From the first start: variances that have absorbed the departure lead to another optimum. Where
+    that is above the present one, which is among its values, from there.
+    """
+    for origin in (begin, (effects.unknowns, effects.deviations)):
+        extended = _extended(effects, *origin, name, start)
+        first, converged = (extended.unknowns, extended.deviations), None
+        try:
+            converged = extended.converge()
+            if converged and name == "crosstalk":
+                extended, converged = _within_modules(extended)
+        except SingularMatrixError:
+            continue
+        if _objective(extended) < _objective(effects) + MAX_LOSS:
+            break
+    return extended, first, converged
 
 
 def _within_modules(effects: RandomEffects) -> tuple[RandomEffects, bool]:

@@ -234,18 +234,12 @@ def normal_score(square: float, count: int) -> float:
     return float(((square / count) ** (1 / 3) - 1 + spread) / spread**0.5)
 
 
-def departure_scores(estimator: JointEstimator) -> dict[str, float]:
-    """Score of each departure from the contact model, in standard deviations; with rigid modules
-    only that of errors of the contacts."""
-    found = {CONTACT_ERRORS: contact_score(estimator)}
-    if isinstance(estimator.problem.parametrization, SurfaceParametrization):
-        found |= {
-            name: score
-            for name, (score, _) in fitted_readings(estimator, estimator.likelihood.readings.weight)
-            .scores()
-            .items()
-        }
-    return found
+def departure_scores(estimator: JointEstimator, fitted: FittedReadings | None) -> dict[str, float]:
+    """Score of each departure from the contact model, in standard deviations; without fitted
+    readings, as with rigid modules, only that of errors of the contacts."""
+    found = {} if fitted is None else fitted.scores()
+    scores = {name: score for name, (score, _) in found.items()}
+    return {CONTACT_ERRORS: contact_score(estimator), **scores}
 
 
 def fitted_readings(estimator: JointEstimator, weight: Array) -> FittedReadings:

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from ...core.arrays import Array
 from .departures import MIN_SCORE, FittedReadings, fitted_readings, normal_score
 from .joint_estimator import JointEstimator
-from .parametrization import SurfaceParametrization
 
 PLACES = 15
 """Places in a recording, evenly spaced, where a jump is looked for."""
@@ -66,17 +65,15 @@ def largest_jump(fitted: FittedReadings, places: ArrayLike | None = None) -> Jum
     return best
 
 
-def jump_of(estimator: JointEstimator) -> Jump:
-    """The most significant displacement of all contacts from one on; with rigid modules none.
+def jump_of(estimator: JointEstimator, fitted: FittedReadings) -> Jump:
+    """The most significant displacement of all contacts from one on, by the readings `fitted` of
+    the estimate with their weights.
 
     Beside a jump the readings before or after it are outlying: its size is that by all readings.
     """
-    if not isinstance(estimator.problem.parametrization, SurfaceParametrization):
-        return Jump()
-    weight = estimator.likelihood.readings.weight
-    found = largest_jump(fitted_readings(estimator, weight))
+    found = largest_jump(fitted)
     if found.score <= MIN_SCORE:
         return found
     place = round(found.part * len(estimator.data.points))
-    whole = largest_jump(fitted_readings(estimator, np.ones_like(weight)), [place])
-    return replace(found, displacement=whole.displacement)
+    everything = fitted_readings(estimator, np.ones_like(estimator.likelihood.readings.weight))
+    return replace(found, displacement=largest_jump(everything, [place]).displacement)

@@ -35,7 +35,7 @@ from .jump import largest_jump
 from .learned_modules import moved_to_modules
 from .learned_result import learned_result
 from .likelihood import Likelihood, Readings, select
-from .outlier_rejection import reject_outliers
+from .outlier_rejection import displaced_contacts, reject_outliers
 from .parametrization import SurfaceParametrization, Unknowns
 from .pressure import CENSORED, OBSERVED
 from .random_effects import RandomEffects
@@ -61,6 +61,9 @@ USUAL_STEPS = 30
 LEVEL_SAMPLE = 1000
 """Taxels and contacts, about, whose mean level the compression refers to: more change it by less
 than a hundredth."""
+MAX_LACKING = 0.02
+"""Fraction of readings beyond the believed reach from which they are selected anew: a Hertz world
+has less, a cover with readings to the power 0.6 a fourth."""
 MOVED = 0.02
 """Move of a taxel, in contact radii, from which it is at another optimum."""
 
@@ -88,7 +91,7 @@ def _unconverged(value: str) -> CalibrationError:
 def _estimate(data: Measurements, stage: Stage, excluded: tuple[str, ...] = ()) -> EstimatorResult:
     """As `estimate`; SingularMatrixError where normal equations are singular. excluded: departures
     that are not estimated, as without outlying readings they came out implausible."""
-    given, clock = data, time.perf_counter()
+    clock, recorded = time.perf_counter(), data
     stuck = fault_detection.stuck_taxels(data)
     # readings far from the contacts, such as those that hysteresis leaves, do not tell the place
     data = coactivation.without_distant_readings(data)
@@ -98,8 +101,15 @@ def _estimate(data: Measurements, stage: Stage, excluded: tuple[str, ...] = ()) 
     effects = _begin(with_learned_response(data, start.points), live, start, stage)
     weight = np.ones(len(data.pressure))
     effects, departures = with_departures(effects, excluded)
-    for _ in range(MAX_ROUNDS):
-        estimator = reject_outliers(_frozen(effects, live, weight))
+    frozen = _frozen(effects, live, weight)
+    if _lacks(effects, frozen):
+        effects = _restarted(effects, frozen)
+        effects.converge()
+        frozen = _frozen(effects, live, weight)
+    if len(bad := displaced_contacts(effects)) and not len(recorded.misfitting):
+        return _estimate(recorded.without_contacts(bad), stage, excluded)
+    for repeated in range(MAX_ROUNDS):
+        estimator = reject_outliers(_frozen(effects, live, weight) if repeated else frozen)
         rivals = resolve_rivals(estimator)
         if not _changed(effects, estimator, weight):
             break
@@ -111,12 +121,13 @@ def _estimate(data: Measurements, stage: Stage, excluded: tuple[str, ...] = ()) 
     if wild := [name for name in ELECTRONICS if not plausible(effects, name)]:
         if excluded:
             raise _unconverged(f"implausible {', '.join(wild)}")
-        return _estimate(given, stage, tuple(wild))
+        return _estimate(recorded, stage, tuple(wild))
     found = learned_result(effects, estimator, rivals, reasons, clock)
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)
     jump = largest_jump(effects.fitted())
-    return replace(found, departures=departures | jump.departure, jump=jump.shown)
+    departures = {**departures, **found.departures, **jump.departure}
+    return replace(found, departures=departures, jump=jump.shown)
 
 
 def with_learned_response(data: Measurements, points: Array) -> Measurements:
@@ -221,11 +232,20 @@ def _without_electronics(effects: RandomEffects) -> dict[str, Any]:
     """The readings (k,) of the recording without what hysteresis and crosstalk have added, and the
     threshold that all silent readings are below without it; by their names in Measurements."""
     pressure, readings = effects.data.pressure.copy(), effects.readings
-    added = effects.data.sigma * effects.added_by_electronics()
+    added = effects.data.sigma * effects.added_by(ELECTRONICS)
     recorded = readings.kind == OBSERVED
     pressure[readings.source[recorded]] -= added[recorded]
     lowered = -float(added[readings.kind == CENSORED].min(initial=0.0))
     return {"pressure": pressure, "threshold": effects.data.threshold + lowered}
+
+
+def _lacks(effects: RandomEffects, frozen: JointEstimator) -> bool:
+    """Whether the readings within the learned reach, which `frozen` has, are more than those within
+    the believed one: without them these would seem outlying in all taxels."""
+    if effects.electronics is not None:  # far readings are those that hysteresis leaves
+        return False
+    there = [np.sum(x.kind == OBSERVED) for x in (effects.readings, frozen.likelihood.readings)]
+    return bool(there[1] > (1 + MAX_LACKING) * there[0])
 
 
 def _changed(effects: RandomEffects, estimator: JointEstimator, weight: Array) -> bool:
@@ -242,7 +262,8 @@ def _restarted(effects: RandomEffects, estimator: JointEstimator) -> RandomEffec
     assert isinstance(parametrization, SurfaceParametrization)
     points, normals = parametrization.points(), parametrization.rotations()[:, :, 2]
     weight = np.where(estimator.weight < 0.5, 0.0, 1.0)
-    readings = select(data, estimator.live, points, normals, 0.0, weight, estimator.silent_weight)
+    reach = estimator.selected_at[2] if effects.electronics is None else 0.0
+    readings = select(data, estimator.live, points, normals, reach, weight, estimator.silent_weight)
     return RandomEffects(
         data, readings, replace(u, parametrization=parametrization), effects.deviations,
         stage=effects.stage,

@@ -11,10 +11,11 @@ import numpy as np
 
 from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
-from ..data.global_parameters import MOTION
+from ..data.global_parameters import DEPARTURES, MOTION
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
     CENSORING,
+    MISFITTING,
     MOSTLY_OUTLIERS,
     RIVAL,
     SURFACE,
@@ -23,7 +24,7 @@ from ..result import (
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
-from .contact_correlations import alike_forces, fewer_contacts, neighbour_correlation
+from .contact_correlations import alike_errors, fewer_contacts, neighbour_correlation
 from .creep import TIME
 from .electronics import WIDTH
 from .joint_estimator import JointEstimator
@@ -32,6 +33,7 @@ from .noise import neighbours
 from .null_space import undetermined_motion
 from .pressure import CENSORED, OBSERVED, disc_means
 from .random_effects import RandomEffects
+from .residual_correlations import shared_errors
 from .rival_optima import RivalOptima
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
@@ -69,13 +71,18 @@ def learned_result(
         raise SingularMatrixError(int(np.argmin(variances.min(axis=1))))
     fit = _fit(effects)
     response = learned_response(effects, shared)
-    scale = max(fit.reduced, 1.0) if fit.good is False else 1.0
-    scale *= fewer_contacts(response.contact_correlation) * response.alike_contacts
+    misfit = max(fit.reduced, 1.0) if fit.good is False else 1.0
+    scale = max(misfit, fewer_contacts(response.contact_correlation), response.alike_contacts)
     points, rotations = u.parametrization.points(), u.parametrization.rotations()
     apart = np.nan_to_num(rivals.points - points)
     apart = np.einsum("kij,ki->kj", rotations[:, :, :2], apart)
-    tangential = scale * covariance[:, :2, :2] + apart[:, :, None] * apart[:, None, :]
-    tangential += _leaks(effects)
+    fitted = effects.fitted()
+    shared_by_contacts = shared_errors(fitted)
+    tangential = _larger(
+        scale * covariance[:, :2, :2],
+        misfit * covariance[:, :2, :2] + shared_by_contacts.covariances(fitted),
+    )
+    tangential += _leaks(effects) + apart[:, :, None] * apart[:, None, :]
     lost, reasons = estimator.broken, reasons.copy()
     reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
     infinite = np.diag([np.inf, np.inf])
@@ -101,6 +108,7 @@ def learned_result(
             *response.describe(),
             *((CENSORING,) if (effects.readings.kind == CENSORED).any() else ()),
             SURFACE,
+            *((MISFITTING.format(len(data.misfitting)),) if len(data.misfitting) else ()),
         ),
         unknowns=_shared_values(effects, scale * shared),
         undetermined=_not_separable(effects, shared),
@@ -117,11 +125,29 @@ def learned_result(
         faults=faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
+        departures=shared_by_contacts.departure,
         response=response,
         contact_errors=u.errors,
+        additions=_additions(effects, live),
         iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
         seconds={"joint": time.perf_counter() - clock},
     )
+
+
+def _larger(first: Array, second: Array) -> Array:
+    """Of two covariances (n, 2, 2) of each taxel the larger one: displacements of the contacts show
+    in the residuals, too, and are not counted twice."""
+    traces = (np.trace(x, axis1=1, axis2=2) for x in (first, second))
+    return np.asarray(np.where(np.greater(*traces)[:, None, None], first, second))
+
+
+def _additions(effects: RandomEffects, live: np.ndarray) -> Array | None:
+    """As `EstimatorResult.additions`; live: rows of the taxels."""
+    p, readings = effects.data.parameters, effects.readings
+    if not {*DEPARTURES} & {*p.names, *p.nuisance_names}:
+        return None
+    added = effects.data.sigma * effects.added_by(DEPARTURES)
+    return np.column_stack([readings.contact, live[readings.taxel], added])
 
 
 def _fit(effects: RandomEffects) -> GoodnessOfFit:
@@ -198,7 +224,7 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
     level = np.linspace(0.0, peak, SAMPLES)
     c = columns["compression"].start
     nominal = data.nominal_peak * data.unit
-    force_correlation, alike = alike_forces(effects)
+    alike = alike_errors(effects)
     return LearnedResponse(
         distance=u * radius,
         profile=peak * (model + correction),
@@ -210,8 +236,8 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
         contact_scatter=effects.deviations.position,
         contact_correlation=neighbour_correlation(effects),
         force_scatter=effects.deviations.force,
-        force_correlation=force_correlation,
-        alike_contacts=alike,
+        alike_contacts=alike.factor,
+        alike_parts=alike.parts,
         noise=effects.deviations.noise * data.sigma * data.unit,
         noise_relative=effects.deviations.relative,
         coefficients=s[at],

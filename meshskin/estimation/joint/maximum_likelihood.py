@@ -22,13 +22,13 @@ from ...core.errors import CalibrationError
 from ...core.progress import Stage
 from .. import chart
 from ..data.measurements import Measurements
-from ..result import CENSORING, MOSTLY_OUTLIERS, RIVAL, SURFACE, EstimatorResult
+from ..result import CENSORING, MISFITTING, MOSTLY_OUTLIERS, RIVAL, SURFACE, EstimatorResult
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
-from .departures import departure_scores
+from .departures import departure_scores, fitted_readings
 from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
-from .jump import jump_of
+from .jump import Jump, jump_of
 from .module_parametrization import (
     MODULE_SURFACE,
     MODULES,
@@ -41,6 +41,7 @@ from .outlier_rejection import reject_outliers, without_misfitting_contacts
 from .parametrization import Parametrization, SurfaceParametrization
 from .pressure import OBSERVED
 from .reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
+from .residual_correlations import shared_errors
 from .rival_optima import RivalOptima, resolve_rivals, widened
 from .variable_projection import SchurComplement
 
@@ -52,8 +53,6 @@ WIDENED = (
 )
 """Factor of an estimate whose test of fit fails."""
 ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring contacts"
-MISFITTING = "without {} contacts whose readings fit no others: bumps, jumps of the curvature"
-"""Factor of an estimate that some contacts were left out of."""
 USUAL_STEPS = 4
 """Usual steps of an estimate: the start, two linearizations, and a search for second optima."""
 RADIUS_TOLERANCE = 0.03
@@ -179,8 +178,11 @@ def _result(
     """The result for all taxels; `declared`: the data with the belief's own parameters."""
     data, problem, state = estimator.data, estimator.problem, estimator.state
     problem.contacts.check(state.s)
-    jump = jump_of(estimator)
     parameters, parametrization = data.parameters, problem.parametrization
+    fitted, jump, errors = None, Jump(), None
+    if isinstance(parametrization, SurfaceParametrization):
+        fitted = fitted_readings(estimator, estimator.likelihood.readings.weight)
+        jump, errors = jump_of(estimator, fitted), shared_errors(fitted)
 
     def spread(values: Array, missing: object) -> Array:
         out = np.empty((len(data.ids), *values.shape[1:]))
@@ -212,6 +214,8 @@ def _result(
         tangential += apart[:, :, None] * apart[:, None, :]
         if fit.good is False:
             tangential += _model_dependence(estimator, fit)
+        elif fitted and errors:
+            tangential += errors.covariances(fitted)
         pose_covariances = None
         surface = (SURFACE,)
     if parameters.nuisance_names != declared.parameters.nuisance_names:
@@ -269,7 +273,9 @@ def _result(
         faults=estimator.faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
-        departures=departure_scores(estimator) | jump.departure,
+        departures=departure_scores(estimator, fitted)
+        | (errors.departure if errors else {})
+        | jump.departure,
         jump=jump.shown,
         iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
         restarted=estimator.live[restarted],

@@ -15,12 +15,20 @@ from .joint_estimator import JointEstimator
 from .likelihood import Likelihood
 from .parametrization import SurfaceParametrization
 from .pressure import CENSORED, OBSERVED
+from .random_effects import RandomEffects
 
 MAX_REMAINING = 0.5
 """Fraction of the misfitting taxels that may still misfit with gains and offsets, for these to be
 the cause."""
 MAX_MISFITTING_CONTACTS = 0.05
 """Fraction of the contacts that may misfit for these, and not the model, to be the cause."""
+MAX_DISPLACED = 0.2
+"""Fraction of the contacts that may be displaced far more than the others for these to be
+outlying: twice what confuses the start of the estimate."""
+LEAST_DISPLACED = 0.02
+"""Least displacement, in contact radii, of an outlying contact: smaller ones harm no estimate."""
+RAYLEIGH = 1.1774
+"""Median length of a vector of two standard normal variables."""
 MAX_PRIOR_SIGMAS = 3.0
 """Gain or offset, in standard deviations of the prior, from which a taxel is faulty."""
 
@@ -75,7 +83,26 @@ def without_misfitting_contacts(estimator: JointEstimator, scale: float) -> Meas
     most = MAX_MISFITTING_CONTACTS * len(np.unique(readings.contact))
     if len(data.misfitting) or not 0 < len(bad) <= most:
         return data
-    return replace(data.select(~np.isin(data.contact, bad)), misfitting=bad)
+    return data.without_contacts(bad)
+
+
+def displaced_contacts(effects: RandomEffects) -> np.ndarray:
+    """Rows of the contacts whose points are displaced far more than most; none where they are too
+    many to be exceptions.
+
+    A tracker that loses its target, or a second contact, puts single points anywhere. One variance
+    of all displacements would take the weight of the others.
+    """
+    data, touched = effects.data, effects.probes.touched
+    size = np.linalg.norm(effects.unknowns.errors[:, :2], axis=1)
+    if not touched.any():
+        return np.empty(0, dtype=int)
+    limit = max(
+        faults.CUTOFF * float(np.median(size[touched])) / RAYLEIGH,
+        LEAST_DISPLACED * float(np.median(data.radii)),
+    )
+    bad = np.flatnonzero(touched & (size > limit))
+    return bad if len(bad) <= MAX_DISPLACED * touched.sum() else bad[:0]
 
 
 def try_gain_offset(estimator: JointEstimator, suspects: np.ndarray) -> JointEstimator:

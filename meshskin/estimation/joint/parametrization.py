@@ -17,7 +17,10 @@ from .. import chart
 from ..chart import Charts
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from ...geometry.body import Body
+    from ..data.global_parameters import GlobalParameters
 
 
 class Parametrization(Protocol):
@@ -119,3 +122,11 @@ class Unknowns:
     """(m, 3) of the contacts."""
     s: Array
     """(ks,)."""
+
+    def without(self, names: Collection[str], parameters: GlobalParameters) -> Unknowns:
+        """These with the `parameters` of these names, also those of a taxel, at zero."""
+        s, nuisance = self.s.copy(), self.nuisance.copy()
+        for name in names:
+            s[parameters.columns.get(name, slice(0, 0))] = 0.0
+        nuisance[:, [name in names for name in parameters.nuisance_names]] = 0.0
+        return replace(self, s=s, nuisance=nuisance)

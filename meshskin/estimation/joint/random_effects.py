@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -128,7 +129,7 @@ class RandomEffects:
         in the errors of the earlier contacts `rests_on` (k,), at other values."""
         self.unknowns = unknowns
         tangents = unknowns.parametrization.charts.tangents
-        for rows, mu, jacobian in self._predicted(self.electronics):
+        for rows, mu, jacobian in self._predicted(self.electronics, unknowns):
             taxel = self.readings.taxel[rows]
             self.mu[rows] = mu
             self.jacobian[rows, :2] = np.einsum("kia,ik->ka", tangents[taxel], jacobian[:3])
@@ -138,24 +139,23 @@ class RandomEffects:
                 self.lag[rows] = jacobian[end:].T
                 self.rests_on = self.readings.contact[self.electronics.source]
 
-    def added_by_electronics(self) -> Array:
-        """What hysteresis and crosstalk add to each reading (k,), in units of the noise."""
-        if self.electronics is None:
-            return np.zeros_like(self.mu)
-        return self.mu - np.concatenate([mu for _, mu, _ in self._predicted(None)])
+    def added_by(self, names: tuple[str, ...]) -> Array:
+        """What departures, ELECTRONICS among them, add to each reading (k,), in units of noise."""
+        without = self._predicted(None, self.unknowns.without(names, self.data.parameters))
+        return self.mu - np.concatenate([mu for _, mu, _ in without])
 
-    def _predicted(self, electronics: Electronics | None) -> Iterator[tuple[slice, Array, Array]]:
+    def _predicted(self, by: Electronics | None, u: Unknowns) -> Iterator[tuple[Any, Array, Array]]:
         """Blocks of readings, their mu and its derivatives, as of `Likelihood.predict`."""
-        readings, u, points = self.readings, self.unknowns, self.unknowns.parametrization.points()
+        readings, points = self.readings, u.parametrization.points()
         contacts, count = self.linearized.with_errors(u.s, u.errors), len(readings.taxel)
-        size = BLOCK if electronics is None else max(count, 1)
+        size = BLOCK if by is None else max(count, 1)
         for begin in range(0, count, size):
             rows = slice(begin, begin + size)
             own = readings.taxel[rows]
             yield (
                 rows,
                 *self.likelihood.predict(
-                    readings.contact[rows], points[own], u.nuisance[own], contacts, electronics
+                    readings.contact[rows], points[own], u.nuisance[own], contacts, by
                 ),
             )
 

@@ -26,7 +26,7 @@ BESIDE = 0.5
 SHALLOW = 0.3
 """Part of the depth by which a contact is higher than another one of the touch in the same place,
 from which it is left out: its force is below 0.6 of that one's (Hertz)."""
-MAX_CONTACTS = 1000
+MAX_CONTACTS = 5000
 """Contacts that are kept, evenly chosen: the estimate takes seconds for a thousand."""
 
 

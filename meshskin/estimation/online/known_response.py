@@ -22,6 +22,7 @@ from ...recording.recording import CONTACTS, READINGS, Recording
 from ..calibration import Calibration
 from ..cross_validation import recorded_belief
 from ..data.gather import gather
+from ..data.global_parameters import DEPARTURES
 from ..localization import CalibratedSkin
 from .linearization import local_estimator
 from .online_calibration import OnlineCalibration
@@ -56,9 +57,8 @@ class KnownResponse:
     def of(cls, found: Calibration, recording: Recording) -> KnownResponse:
         """That of the calibration `found` of a recording.
 
-        Raises CalibrationError for a calibration without learned response, and for a response with
-        hysteresis, creep, crosstalk or a common drift: its readings depend on those before and
-        beside them, or on the time.
+        Its readings are without what hysteresis, creep, crosstalk and drifts add to them by that
+        calibration. Raises CalibrationError for a calibration without learned response.
         """
         response, errors = found.response, found.contact_errors
         if response is None or errors is None:
@@ -66,21 +66,8 @@ class KnownResponse:
                 "the calibration has no learned response of this recording",
                 remedy='calibrate the recording with readings="raw" or contact="learned"',
             )
-        shares = {
-            "hysteresis": response.hysteresis[0],
-            "crosstalk": response.crosstalk,
-            "creep": response.creep[0],
-            "gain drift": response.gain_drift,
-            "offset drift": response.offset_drift,
-        }
-        if any(shares.values()):
-            raise CalibrationError(
-                f"a response with {', '.join(n for n in shares if shares[n])} cannot be replayed",
-                value=", ".join(f"{value:.2g}" for value in shares.values() if value),
-                remedy="use the calibration of the whole recording: meshskin calibrate",
-            )
         belief = replace(recorded_belief(found), contact=LEARNED)
-        skin = CalibratedSkin.of(found, gather(recording, belief))
+        skin = _without_departures(CalibratedSkin.of(found, gather(recording, belief)), found)
         data = skin.data
         template = _template(skin, 0 if found.fit is None else found.fit.pairs)
         rows = np.setdiff1d(np.arange(len(data.points)), data.unread)
@@ -110,6 +97,29 @@ class _WithKnownResponse(OnlineCalibration):
         super().__init__(belief, target_sigma=target, unreachable=unreachable)
         self._estimate = RunningEstimate(template, known.values)
         self._estimate.widening = known.widening
+
+
+def _without_departures(skin: CalibratedSkin, found: Calibration) -> CalibratedSkin:
+    """The skin with readings as they were without departures from the response; those that the
+    calibration did not use are left out, and saturated ones, which do not say by how much, lost."""
+    data, n = skin.data, len(skin.data.ids)
+    if found.additions is None:
+        return skin
+    parameters, rows = data.parameters.without(DEPARTURES)
+    key = (found.additions[:, 0] * n + found.additions[:, 1]).astype(int)
+    added, mine = found.additions[:, 2], data.contact * n + data.taxel
+    order = np.argsort(key)
+    at = order[np.searchsorted(key, mine, sorter=order) % len(key)]
+    used, full = key[at] == mine, data.pressure >= data.ends[data.taxel]
+    silent, lost = added[~np.isin(key, mine)], np.column_stack([data.contact, data.taxel])[full]
+    data = replace(
+        data,
+        parameters=parameters,
+        pressure=np.maximum(data.pressure - added[at], 0.0),
+        threshold=data.threshold - float(silent.min(initial=0.0)),
+        corrupt=np.concatenate([data.corrupt, lost]),
+    )
+    return replace(skin, data=data.select(used & ~full), s=skin.s[rows], past=None)
 
 
 def _template(skin: CalibratedSkin, pairs: int) -> Measurements:
@@ -149,13 +159,18 @@ def _widening(found: Calibration, skin: CalibratedSkin, data: Measurements) -> f
 
 
 def _recording(data: Measurements, rows: np.ndarray, metadata: Mapping[str, Any]) -> Recording:
-    """The contacts `rows` of the measurements, and their readings; metadata: of the recording."""
+    """The contacts `rows` of the measurements, and their readings, NaN where they are lost;
+    metadata: of the recording."""
     columns = [data.time[rows], *data.points[rows].T, *data.normals[rows].T, data.force[rows]]
-    read = np.flatnonzero(np.isin(data.contact, rows))
-    read = read[np.argsort(data.contact[read], kind="stable")]
-    ids = data.ids[data.taxel[read]]
+    lost = data.corrupt
+    contact = np.concatenate([data.contact, lost[:, 0]])
+    taxel = np.concatenate([data.taxel, lost[:, 1]])
+    pressure = np.concatenate([data.pressure, np.full(len(lost), np.nan)])
+    read = np.flatnonzero(np.isin(contact, rows))
+    read = read[np.argsort(contact[read], kind="stable")]
+    ids = data.ids[taxel[read]]
     schema = READINGS.set(1, pa.field("taxel", pa.from_numpy_dtype(ids.dtype)))
-    readings = [data.time[data.contact[read]], ids, data.pressure[read]]
+    readings = [data.time[contact[read]], ids, pressure[read]]
     kept = {name: metadata[name] for name in ("force", "unreachable") if name in metadata}
     return Recording(
         pa.table(columns, schema=CONTACTS),

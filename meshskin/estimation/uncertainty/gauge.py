@@ -13,10 +13,60 @@ from ...core import se3
 from ...core.arrays import Array
 from ..posegraph import PoseGraph
 from ..posegraph.cholesky import Cholesky
+from ..posegraph.solve import PoseGraphSolution
 from ..posegraph.symmetric_blocks import SymmetricBlocks
+from ..result import EstimatorResult
+from .observability import SPIN
 
+UNLINKED = "shares too few contacts with other taxels"
 MIN_PART = 3
 """Fewest taxels of a part that can be aligned: three points determine a rotation."""
+
+
+def aligned_estimate(
+    graph: PoseGraph,
+    solution: PoseGraphSolution,
+    fit: EstimatorResult,
+    errors: Array,
+    information: str,
+    seconds: float,
+) -> EstimatorResult:
+    """The estimate of all taxels by a solved graph of those that `fit` has found.
+
+    errors: as of `covariances`; information: name of that of the edges; seconds: time of building
+    the graph.
+    """
+    assert solution.iterates is not None
+    placed, linked = aligned(graph, solution.poses)
+    row, n = np.flatnonzero(fit.found), len(fit.reasons)
+    poses = np.full((n, 4, 4), np.nan)
+    poses[row[linked]] = placed[linked]
+    reasons = fit.reasons.copy()
+    reasons[row[~linked]] = UNLINKED
+    spread = np.tile(np.diag([np.inf] * 6), (n, 1, 1))
+    spread[row[linked]] = covariances(graph, placed, errors)[linked]
+    spread[:, SPIN, :] = spread[:, :, SPIN] = 0.0
+    spread[:, SPIN, SPIN] = np.inf
+    iterates = np.full((len(solution.iterates), n, 3), np.nan)
+    for k, step in enumerate(solution.iterates):
+        iterates[k, row[linked]] = aligned(graph, step)[0][linked, :3, 3]
+    return EstimatorResult(
+        points=poses[:, :3, 3],
+        rotations=poses[:, :3, :3],
+        covariance=spread[:, :2, :2],
+        pose_covariances=spread,
+        reasons=reasons,
+        chi2=np.full(n, np.nan),
+        iterates=iterates,
+        anchor="rigid alignment of each connected part with the trilaterated positions",
+        factors=(
+            f"{len(graph.edges)} displacements of taxels active together, {information} "
+            "information, taken as independent; the covariance is scaled for the readings that "
+            "they share",
+            "rotation of each frame about its normal: a convention",
+        ),
+        seconds={"graph": seconds, "build": solution.build_time, "solve": solution.solve_time},
+    )
 
 
 def aligned(graph: PoseGraph, poses: Array) -> tuple[Array, np.ndarray]:

@@ -89,7 +89,7 @@ def judge(
         lambda: weighted_means.findings(data, calibration),
         lambda: verdict.forces(recording, calibration),
         lambda: verdict.force_offset(data, calibration),
-        lambda: verdict.stiffness(calibration),
+        lambda: verdict.alike(calibration),
         lambda: verdict.profile(calibration),
         lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
@@ -138,7 +138,7 @@ def _departures(
         f"standard deviations, limit {MIN_SCORE:g})"
     )
     if calibration.fit is not None and calibration.fit.good is not False:
-        words += ": its standard deviations are too small"
+        words += ": its standard deviations can be too small"
     if calibration.response is None and data.belief.module_slots is None:
         words += '; let it learn the response: contact="auto" or "learned"'
     return [(DOUBT, words)]

@@ -12,6 +12,7 @@ import numpy as np
 from ...core.arrays import Array
 from ...scene.belief import RAW
 from ..data.sensor_range import unanswered_contacts
+from ..joint.contact_correlations import KINDS
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording
@@ -43,6 +44,15 @@ rather has another response."""
 RISE_SIGMAS, MIN_RISE = 4.0, 0.01
 """Rise of a learned profile from which it is named: in standard deviations, and beyond these
 relative to the peak."""
+MAX_ALIKE = 1.5
+"""Factor of the variances by errors that neighbouring contacts share from which it is a doubt: the
+factor itself was 0.7 to 1.9 times what is right, on raw meshes."""
+CAUSES = (
+    "the contact points are those of a surface whose facets or bumps the believed one lacks",
+    "stiffness or thickness of the skin varies over the body",
+    "patches are not round, or another response than the learned one",
+)
+"""What makes the errors of each of contact_correlations.KINDS alike."""
 AGREEMENT = 0.3
 """Largest difference of the two signs, relative to their sum: layers have other exponents than
 Hertz patches, by up to a quarter."""
@@ -131,16 +141,16 @@ def force_offset(data: Measurements, calibration: Calibration) -> list[Finding]:
     return [(DOUBT, words)]
 
 
-def stiffness(calibration: Calibration) -> list[Finding]:
-    """Errors of the force that neighbouring contacts share: the skin is not even."""
+def alike(calibration: Calibration) -> list[Finding]:
+    """Errors that neighbouring contacts share, where much of the variances is due to them."""
     response = calibration.response
-    if response is None or not response.force_correlation:
+    if response is None or response.alike_contacts < MAX_ALIKE:
         return []
+    largest = int(np.argmax(response.alike_parts))
     words = (
-        "the forces of neighbouring contacts err alike (correlation "
-        f"{response.force_correlation:.2f}): stiffness or thickness of the skin varies over the "
-        "body, which displaces the estimates; their variances are widened "
-        f"{response.alike_contacts:.2g} times, which can be too little"
+        f"errors of {KINDS[largest]} are alike in neighbouring contacts: {CAUSES[largest]}; the "
+        f"variances of the positions are widened {response.alike_contacts:.2g} times (limit "
+        f"{MAX_ALIKE:g}), which can be too little"
     )
     return [(DOUBT, words)]
 

@@ -91,7 +91,7 @@ class InsideOutside:
     def _winding(self) -> WindingNumber:
         return WindingNumber(self._vertices, self.faces)
 
-    @property
+    @cached_property
     def _standoff(self) -> Array:
         """Offsets (m, 3), m, to the front of the faces."""
         extent = float(np.max(np.ptp(self._vertices, axis=0)))

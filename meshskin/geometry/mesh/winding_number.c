@@ -59,3 +59,24 @@ void winding(int64_t leaves, int64_t size, const Cluster *node, const double *co
         total[k] = near / (2.0 * PI) + far / (4.0 * PI);
     }
 }
+
+/* Adds to `total` (n,) the parts due to border edges (k, 6), each extruded to infinity along its
+   direction (k, 3): the limit of `half_angle` for a corner that is infinitely far away. */
+void extruded(int64_t k, const double *edge, const double *direction, int64_t n,
+              const double *points, double *total)
+{
+    for (int64_t i = 0; i < n; i++) {
+        const double *p = points + 3 * i;
+        double sum = 0.0;
+        for (int64_t e = 0; e < k; e++) {
+            const double *tail = edge + 6 * e, *head = tail + 3, *d = direction + 3 * e;
+            double a[3], b[3]; /* against the mesh */
+            for (int x = 0; x < 3; x++) a[x] = head[x] - p[x], b[x] = tail[x] - p[x];
+            double cross[3] = {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
+                               a[0] * b[1] - a[1] * b[0]};
+            double la = sqrt(dot(a, a)), lb = sqrt(dot(b, b));
+            sum += atan2(dot(cross, d), la * lb + dot(a, b) + dot(b, d) * la + dot(a, d) * lb);
+        }
+        total[i] += sum / (2.0 * PI);
+    }
+}

@@ -57,25 +57,28 @@ class WindingNumber:
 
     def at(self, points: Array) -> NDArray[np.int64]:
         """The winding numbers (n,) of points (n, 3), m."""
-        extrusion = self._of_extrusion(points)
         built = library()
         if built is None:
-            return np.asarray(np.round(self._exact(points) + extrusion), dtype=np.int64)
-        total = self._by_clusters(built, points) + extrusion
+            return np.asarray(np.round(self._exact(points)), dtype=np.int64)
+        total = self._by_clusters(built, points)
         unsure = np.flatnonzero(np.abs(total - np.round(total)) > INTEGER_TOLERANCE)
-        total[unsure] = self._exact(points[unsure]) + extrusion[unsure]
+        total[unsure] = self._exact(points[unsure])
         return np.asarray(np.round(total), dtype=np.int64)
 
     def _by_clusters(self, built: ctypes.CDLL, points: Array) -> Array:
-        p, out = np.ascontiguousarray(points), np.empty(len(points))
+        p, out = np.ascontiguousarray(points, dtype=float), np.empty(len(points))
         leaves = len(self._nodes) // 2
-        counts = [ctypes.c_int64(c) for c in (leaves, len(self._leaves) // leaves, len(p))]
-        arrays = [ctypes.c_void_p(a.ctypes.data) for a in (self._nodes, self._leaves, p, out)]
-        built.winding(*counts[:2], *arrays[:2], counts[2], *arrays[2:])
+        counts = (leaves, len(self._leaves) // leaves, len(self.border), len(p))
+        leaves_, size, edges, n = (ctypes.c_int64(c) for c in counts)
+        arrays = (self._nodes, self._leaves, self.border, self.direction, p, out)
+        nodes, triangles, border, ways, at, total = (ctypes.c_void_p(a.ctypes.data) for a in arrays)
+        built.winding(leaves_, size, nodes, triangles, n, at, total)
+        built.extruded(edges, border, ways, n, at, total)
         return out
 
     def _exact(self, points: Array) -> Array:
-        return np.array([winding_number(self.corners, p) for p in points], dtype=float)
+        mesh = np.array([winding_number(self.corners, p) for p in points], dtype=float)
+        return mesh + self._of_extrusion(points)
 
     def _of_extrusion(self, points: Array) -> Array:
         """The parts (n,) of the winding numbers due to the extruded border."""
@@ -138,7 +141,7 @@ def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
     size = np.linalg.norm(area, axis=1, keepdims=True)
     direction = np.where(size > 0.0, -area / np.maximum(size, 1e-300), [0.0, 0.0, 1.0])
     caps = np.stack([along[:, 1], along[:, 0], middle[loop]], axis=1)
-    return along, direction[loop], caps
+    return np.ascontiguousarray(along), np.ascontiguousarray(direction[loop]), caps
 
 
 def _tree(corners: Array) -> tuple[Array, Array]:

@@ -1,7 +1,8 @@
 """CSV and Parquet files with a column of times, or folders of them.
 
 Columns whose names differ in a number at the end alone are one stream: q_1, q_2 are q_*. In a
-folder the name of the file comes before: joints/q_*.
+folder the name of the file comes before: joints/q_*. Columns of contact points, normals and forces
+are the stream `contacts`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from ...core.errors import RecordingError, UnknownNameError
 from ..log_map import TIME_UNITS, StreamMap
 from ..message_types import MIN_TAXELS
 from ..stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, contact_fields
+from .contact_columns import contact_columns
 
 if TYPE_CHECKING:
     from ..log_map import LogMap
@@ -126,10 +128,12 @@ def _time_column(names: list[str], file: Path) -> str:
 
 
 def _groups(names: list[str]) -> dict[str, list[str]]:
-    """Columns by their name with * for the number at the end, but for those of times."""
-    groups: dict[str, list[str]] = {}
+    """Columns by their name with * for the number at the end, but for those of times; those of
+    contacts together."""
+    contacts = contact_columns(names)[0]
+    groups: dict[str, list[str]] = {CONTACTS: contacts} if contacts else {}
     for name in names:
-        if name.lower().partition("_")[0] not in TIME_NAMES:
+        if name.lower().partition("_")[0] not in TIME_NAMES and name not in contacts:
             groups.setdefault(re.sub(r"\d+$", "*", name), []).append(name)
     return groups
 
@@ -241,6 +245,9 @@ def _suggest(stream: Stream) -> list[StreamMap]:
     """What a group of columns could be, by its name and size."""
     name = stream.name.rpartition("/")[2].lower()
     width = len(stream.fields)
+    if name == CONTACTS:
+        unit = contact_columns(stream.fields)[1]
+        return [StreamMap(stream.name, CONTACTS, length=width, unit=unit)]
     if set(JOINT_NAMES) & set(re.split(r"[^a-z]+", name)):
         return [StreamMap(stream.name, JOINTS, stream.fields if width < 2 else ())]
     if name.startswith(("wrench", "force", "ft")) and width in (3, 6):

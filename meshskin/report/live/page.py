@@ -13,6 +13,7 @@ from .drawing import Drawing
 from .panel import Panel
 
 if TYPE_CHECKING:
+    from ...estimation.calibration import Calibration
     from .replay import Snapshot
     from .stage import Stage
 
@@ -61,6 +62,15 @@ class LivePage(contextlib.AbstractContextManager["LivePage"]):
             self._last = snapshot
             self.drawing.show(snapshot)
             self.panel.show(snapshot)
+
+    def conclude(self, found: Calibration) -> None:
+        """Show the calibration of all contacts in place of what was estimated on the way."""
+        if self._last is None:
+            return
+        with self._lock, self.server.atomic():
+            self._last = self._last.concluded(found)
+            self.drawing.show(self._last)
+            self.panel.conclude(found)
 
     def close(self) -> None:
         """Stop the server; browsers wait for it to come back."""

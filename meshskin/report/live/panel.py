@@ -9,12 +9,14 @@ import numpy as np
 
 from ...estimation.data.global_parameters import natural_units
 from ...estimation.online.status import DONE, KEEP_GOING
+from ...estimation.uncertainty.verdict import PASS
 from .. import theme
 from ..plane import MM
 from . import marks
 from .drawing import ROBOT, SKIN
 
 if TYPE_CHECKING:
+    from ...estimation.calibration import Calibration
     from .drawing import Drawing
     from .replay import Snapshot
     from .stage import Stage
@@ -36,7 +38,7 @@ SHOWN = 8
 """Taxels that moved whose ids are listed."""
 UNITS = {"Pa": (1e-3, "kPa"), "m": (MM, "mm"), "rad": (180 / np.pi, "°")}
 """Factor and name of the unit in which the panel states one of SI."""
-VERDICT_COLORS = {KEEP_GOING: theme.ESTIMATE, DONE: theme.PALETTE[1]}
+VERDICT_COLORS = {KEEP_GOING: theme.ESTIMATE, DONE: theme.PALETTE[1], PASS: theme.PALETTE[1]}
 """Colors of verdicts; of all others the warning's."""
 
 
@@ -100,6 +102,14 @@ class Panel:
             self.sigma.data = tuple(columns[:3])
             self.residual.data = (columns[0], columns[3])
 
+    def conclude(self, found: Calibration) -> None:
+        """Verdict and numbers of the calibration of all contacts."""
+        verdict = found.verdict
+        if verdict is not None:
+            self._words = (verdict.level, "; ".join(verdict.reasons))
+        self.verdict.content = _verdict(*self._words, "")
+        self.numbers.content = _table(rows_of_all(found))
+
     def finish(self, words: str) -> None:
         """Say beside the verdict how it ended."""
         self.verdict.content = _verdict(*self._words, words)
@@ -121,12 +131,9 @@ def rows_of(snapshot: Snapshot, modulus: float) -> list[tuple[str, str]]:
     """The numbers of a snapshot in words: what, and its value. modulus: nominal E*, Pa."""
     status, touch = snapshot.status, snapshot.status.next_touch
 
-    def mm(value: float) -> str:
-        return f"{theme.significant(MM * value)} mm" if np.isfinite(value) else "–"
-
     rows = [
         ("taxels", f"{status.determined} determined, {status.weak} weak, {status.unseen} unseen"),
-        ("sigma", f"median {mm(status.median_sigma)}, worst {mm(status.worst_sigma)}"),
+        ("sigma", f"median {_mm(status.median_sigma)}, worst {_mm(status.worst_sigma)}"),
         ("contacts", f"{status.used:,} used, {status.rejected:,} rejected"),
     ]
     if touch is None:
@@ -145,6 +152,24 @@ def rows_of(snapshot: Snapshot, modulus: float) -> list[tuple[str, str]]:
         more = "" if len(status.moved) <= SHOWN else f" and {len(status.moved) - SHOWN} more"
         rows.append(("moved", ", ".join(map(str, status.moved[:SHOWN])) + more))
     return rows
+
+
+def rows_of_all(found: Calibration) -> list[tuple[str, str]]:
+    """The numbers of the calibration of all contacts, as `rows_of`."""
+    sigma = found.position_sigma[np.isfinite(found.positions[:, 0])]
+    rows = [
+        ("all contacts", "calibrated together"),
+        ("taxels", f"{len(sigma)} of {len(found.ids)}"),
+    ]
+    if len(sigma):
+        rows.append(("sigma", f"median {_mm(float(np.median(sigma)))}, worst {_mm(sigma.max())}"))
+    if found.response is not None:
+        rows += [("response", words) for words in found.response.describe()]
+    return rows
+
+
+def _mm(value: float) -> str:
+    return f"{theme.significant(MM * value)} mm" if np.isfinite(value) else "–"
 
 
 def _verdict(words: str, why: str, progress: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -14,6 +14,7 @@ from ...core.errors import RecordingError
 from ...estimation.online.frames import ContactFrames
 
 if TYPE_CHECKING:
+    from ...estimation.calibration import Calibration
     from ...estimation.online.online_calibration import OnlineCalibration
     from ...estimation.online.status import OnlineStatus
     from ...recording.recording import Recording
@@ -45,17 +46,28 @@ class Snapshot:
     @classmethod
     def of(cls, online: OnlineCalibration, status: OnlineStatus, row: int, time: float) -> Snapshot:
         """The present estimates of an online calibration."""
-        turn, local = online.poses[:, :3, :3], online.covariances[:, :3, :3]
-        known = np.isfinite(turn).all(axis=(1, 2)) & np.isfinite(local).all(axis=(1, 2))
-        covariances = np.full_like(local, np.nan)
-        covariances[known] = turn[known] @ local[known] @ np.swapaxes(turn[known], 1, 2)
-        return cls(row, time, online.provisional, covariances, status)
+        return cls(row, time, online.provisional, _in_body_frame(online), status)
+
+    def concluded(self, found: Calibration) -> Snapshot:
+        """With the estimates of a calibration of all contacts, and no next touch."""
+        status = replace(self.status, next_touch=None)
+        covariances = _in_body_frame(found)
+        return replace(self, positions=found.positions, covariances=covariances, status=status)
 
     @property
     def next_point(self) -> Array | None:
         """Where to touch next (3,), body frame, m; None where it is not known."""
         touch = self.status.next_touch
         return None if touch is None else np.asarray(touch.point)
+
+
+def _in_body_frame(found: OnlineCalibration | Calibration) -> Array:
+    """Covariances (n, 3, 3), m^2, of the positions; NaN where a taxel is not determined."""
+    turn, local = found.poses[:, :3, :3], found.covariances[:, :3, :3]
+    known = np.isfinite(turn).all(axis=(1, 2)) & np.isfinite(local).all(axis=(1, 2))
+    covariances = np.full_like(local, np.nan)
+    covariances[known] = turn[known] @ local[known] @ np.swapaxes(turn[known], 1, 2)
+    return covariances
 
 
 class Controls(Protocol):

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from ...contact import AUTO, LEARNED, ContactModel
 from ...core.arrays import Array
 from ...core.errors import ContactError
-from ...core.se3 import inverse, orthonormal_basis, shortest_rotation, transform, transform_points
+from ...core.se3 import (
+    inverse,
+    orthonormal_basis,
+    poses_of_states,
+    shortest_rotation,
+    transform,
+    transform_points,
+)
 from ...estimation.data.resolve_belief import resolve_belief
 from ...robot.link_meshes import MIN_ROD, LinkPoses, link_meshes, rod
 from ...robot.robot import Robot
@@ -83,7 +90,7 @@ class Stage:
         moving = [name for name in motion.column_names if name[:1] == "q" and name[1:].isdigit()]
         free = ("x", "y", "z", "qw", "qx", "qy", "qz")
         q = np.stack([np.asarray(motion.column(k))[rows] for k in moving or free], axis=1)
-        carrier = Carrier(scene.body_pose(q))
+        carrier = Carrier(scene.arm.pose(q) @ scene.mount_pose if moving else poses_of_states(q))
         if moving:
             arm = scene.arm
             robot = Robot(arm.name, Path(), arm.urdf, arm.tree, tuple(map(Path, arm.folders)))

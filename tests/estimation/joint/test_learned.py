@@ -355,6 +355,6 @@ def test_a_skin_of_uneven_stiffness_is_named(uneven):
         return np.exp(0.015 * (field if uneven else rng.permutation(field)))
 
     found = calibrate(recording(*world(stiffness=stiffness)), belief(contact="learned"))
-    named = [reason for reason in found.verdict.reasons if "err alike" in reason]
+    named = [reason for reason in found.verdict.reasons if "errors of forces are alike" in reason]
     assert len(named) == uneven
     assert (found.response.alike_contacts > 1.0) == uneven

@@ -96,12 +96,57 @@ def test_a_calibration_without_learned_response_is_refused(noisy):
         KnownResponse.of(found, recording)
 
 
-@pytest.mark.parametrize(
-    "departure",
-    [{"hysteresis": (0.3, 0.1)}, {"crosstalk": 0.1}, {"creep": (0.2, 1.0)}, {"gain_drift": 0.1}],
-)
-def test_readings_that_depend_on_others_are_refused(raw, departure):
-    found, recording, _, _ = raw
-    found = replace(found, response=replace(found.response, **departure))
-    with pytest.raises(CalibrationError, match="cannot be replayed"):
-        KnownResponse.of(found, recording)
+@pytest.fixture(scope="module")
+def past(noisy):
+    """Seven taxels with hysteresis: the recording, and its calibration."""
+    middle = noisy.skin.positions[40]
+    off = np.linalg.norm(noisy.skin.positions - middle, axis=1)
+    rows = np.sort(np.argsort(off)[:7])
+    skin = ms.Skin(noisy.skin.poses[rows], noisy.skin.ids[rows], noisy.skin.disc_radius)
+    lagging = ms.effects.find("hysteresis")(share=0.5, width_relative=0.1)
+    slow = ms.Loop(mode="quasi_static")
+    scene = noisy.with_(skin=skin, effects=(*noisy.effects, lagging), loop=slow)
+    recording = ms.simulate(scene, seed=1)
+    return ms.calibrate(recording, replace(scene.belief(), contact="learned")), recording
+
+
+def replay(known):
+    """The online calibration of the contacts of a known response."""
+    online = known.online()
+    frames = Frames(known.recording, online.ids, known.errors)
+    for begin in range(0, len(known.recording.points), 10):
+        online.update(*frames.part(begin, min(begin + 10, len(known.recording.points))))
+    online.settle()
+    return online
+
+
+def test_readings_are_shown_without_what_the_past_adds(past):
+    found, recording = past
+    assert found.response.hysteresis[0] > 0.2
+    known = KnownResponse.of(found, recording)
+    online = replay(known)
+    apart = np.linalg.norm(online.positions - found.positions, axis=1) / found.position_sigma
+    assert (apart < 1).all()
+    assert online.status.verdict == "done"
+    nothing = found.additions * [1, 1, 0]
+    as_read = replay(KnownResponse.of(replace(found, additions=nothing), recording))
+    moved = np.linalg.norm(as_read.provisional - found.positions, axis=1) / found.position_sigma
+    assert np.median(moved) > 3 * np.median(apart)
+
+
+def test_hysteresis_takes_from_rising_readings_and_adds_to_falling_ones(past):
+    found = past[0]
+    added, response = found.additions[:, 2], found.response
+    most = np.prod(response.hysteresis) * response.references[2]  # share and width of the play
+    assert added.max() == pytest.approx(most, rel=0.2)
+    assert added.min() == pytest.approx(-most, rel=0.2)
+
+
+def test_saturated_readings_of_a_past_are_lost(past):
+    found, recording = past
+    end = 0.9 * float(recording.pressure.max())
+    belief = replace(found.belief, saturation=end)
+    known = KnownResponse.of(replace(found, belief=belief), recording)
+    full = int(np.sum(recording.pressure >= end))
+    assert full > 10
+    assert np.isnan(known.recording.pressure).sum() == full

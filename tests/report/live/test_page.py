@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import meshskin as ms
 from meshskin.core.errors import ConfigError
 from meshskin.report.live import drawing as module
 from meshskin.report.live import marks
@@ -176,3 +177,19 @@ def test_without_viser_the_pip_command_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(ConfigError, match=r'pip install "meshskin\[live\]"'):
         import_viser()
+
+
+def test_the_end_shows_the_calibration_of_all_contacts(page, noisy, snapshot):
+    near = noisy.skin.positions[:2].repeat(9, axis=0)
+    places = near + np.random.default_rng(0).normal(scale=1.5e-3, size=near.shape)
+    with pytest.warns(ms.LeftOutWarning):
+        found = ms.calibrate(ms.press(noisy, places, seed=1), noisy.belief())
+    page.show(snapshot)
+    page.conclude(found)
+    taxels, known = page.drawing.nodes["/body/taxels"], np.isfinite(found.positions[:, 0])
+    apart = np.linalg.norm(taxels.batched_positions - found.positions, axis=1)[known]
+    np.testing.assert_allclose(apart, module.LIFT, atol=1e-7)
+    assert (taxels.batched_scales[~known] == np.float32(module.HIDDEN)).all()
+    assert not page.drawing.nodes["/body/next"].visible
+    assert found.verdict.level in page.panel.verdict.content
+    assert f"{known.sum()} of 80" in page.panel.numbers.content

@@ -25,6 +25,18 @@ def test_body_and_links_are_where_the_arm_holds_them(noisy, touched, stage):
         )
 
 
+def test_a_body_that_moved_without_the_arm_is_where_its_motion_says(noisy, touched):
+    import pyarrow as pa
+
+    times = touched.motion.column("time")
+    states = {name: np.zeros(len(times)) for name in ("x", "y", "z", "qw", "qx", "qy", "qz")}
+    states |= {"z": np.arange(10) / 10, "qw": np.ones(10)}
+    moved = replace(touched, motion=pa.table({"time": times} | states))
+    stage = Stage.of_scene(moved, noisy, noisy.belief())
+    assert not stage.carrier.links
+    np.testing.assert_allclose(stage.carrier.body[:, 2, 3], states["z"], atol=1e-12)
+
+
 def test_the_mount_reaches_from_the_tip_to_the_body(noisy, stage):
     rod = stage.carrier.links["mount"].vertices
     in_body = rod @ inverse(noisy.mount_pose)[:3, :3].T + inverse(noisy.mount_pose)[:3, 3]

@@ -1,0 +1,191 @@
+"""Errors that the readings of a taxel share at contacts near one another, in time or in place.
+
+An estimate takes the errors of readings as independent. Offsets that wander, patches or taxels that
+are not round, and crosstalk between taxels that are not neighbours make those of neighbouring
+contacts alike, and its covariances too small: (J' J)^-1 J' V J (J' J)^-1 for errors of covariance
+V. V is that of independent errors and of Gaussian processes, in the order of the contacts or in
+their place relative to the taxel; their variances and length are those of the largest restricted
+likelihood of the residuals. An error that is even in the place relative to the taxel, as of a
+patch that is too wide, displaces no taxel: even and odd ones have variances of their own.
+
+Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal",
+Biometrika 58 (1971).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.arrays import Array
+from .departures import FittedReadings
+from .noise import clear_of_limits
+from .pressure import OBSERVED
+
+SPANS = (10.0, 100.0, 1000.0)
+"""Lengths in time that are tried, in contacts."""
+WIDTHS = (0.25, 0.5, 1.0)
+"""Lengths in place that are tried, in reaches of a contact."""
+MAX_TAXELS, MAX_READINGS = 100, 60
+"""Taxels, and readings of each, that are compared: more change the scores little."""
+LEAST_SCORE = 4.0
+"""Score, in standard deviations, from which covariances are widened: 2e-4 by chance, of six."""
+SPARE = 3
+"""Readings of a taxel, at least, beyond its own unknowns: fewer have hardly residuals."""
+START, MAX_RATIO = 0.3, 100.0
+"""First and largest variance of shared errors, relative to that of independent ones."""
+
+Kernel = Callable[[Array, Array], tuple[Array, ...]]
+"""(rows of the contacts (q,), their places (q, 2) relative to the taxel, reaches) -> covariances
+(q, q) of shared errors, each with a variance of its own."""
+
+
+@dataclass(frozen=True)
+class SharedErrors:
+    """The shared errors that make the residuals most likely."""
+
+    score: float
+    """In standard deviations of independent errors."""
+    where: str
+    """"in time" or "in place"."""
+    kernel: Kernel
+    variances: Array
+    """Of each of the kernel's covariances, relative to that of the noise."""
+
+    @property
+    def departure(self) -> dict[str, float]:
+        """Its score, by a name."""
+        return {f"errors that readings of contacts near one another {self.where} share": self.score}
+
+    def covariances(self, fitted: FittedReadings) -> Array:
+        """What shared errors add to the tangential covariances (n, 2, 2), m^2."""
+        found = np.zeros((len(fitted.points), 2, 2))
+        if self.score <= LEAST_SCORE:
+            return found
+        for taxel, rows, own in _taxels(fitted, np.arange(len(found))):
+            gain = np.linalg.pinv(own.T @ own + np.diag(fitted.prior))[:2] @ own.T
+            shared = self.kernel(fitted.readings.contact[rows], _places(fitted, taxel, rows))
+            total = np.tensordot(self.variances, shared, 1)
+            found[taxel] = gain @ total @ gain.T
+        return found
+
+
+def shared_errors(fitted: FittedReadings) -> SharedErrors:
+    """The most likely shared errors of the residuals; of score 0 where nothing is compared."""
+    rng, n = np.random.default_rng(0), len(fitted.points)
+    chosen = np.sort(rng.permutation(n)[:MAX_TAXELS])
+    residuals = -fitted.rate / np.sqrt(np.maximum(fitted.curvature, 1e-300))
+    samples = []
+    for taxel, rows, own in _taxels(fitted, chosen):
+        used = slice(0, MAX_READINGS)
+        if len(rows[used]) < own.shape[1] + SPARE:
+            continue
+        free = np.linalg.qr(own[used], mode="complete")[0][:, own.shape[1] :]
+        places = _places(fitted, taxel, rows[used])
+        samples.append((fitted.readings.contact[rows[used]], places, free, residuals[rows[used]]))
+    kernels = [("in time", _in_time(span)) for span in SPANS]
+    kernels += [("in place", _in_place(width)) for width in WIDTHS]
+    found = SharedErrors(0.0, *kernels[0], np.zeros(1))
+    square = sum(float(np.sum((free.T @ r) ** 2)) for _, _, free, r in samples)
+    if not square:
+        return found
+    noise = (square / sum(free.shape[1] for _, _, free, _ in samples)) ** 0.5
+    samples = [(contact, place, free, r / noise) for contact, place, free, r in samples]
+    score = max(_score(samples, kernel) for _, kernel in kernels)
+    if score <= LEAST_SCORE:
+        return SharedErrors(score, *kernels[0], np.zeros(1))
+    best = np.inf
+    for where, kernel in kernels:
+        cost, variances = _most_likely(samples, kernel)
+        if cost < best:
+            best, found = cost, SharedErrors(score, where, kernel, noise**2 * variances)
+    return found
+
+
+def _taxels(fitted: FittedReadings, taxels: np.ndarray) -> Iterator[tuple[int, np.ndarray, Array]]:
+    """Each taxel with the rows (q,) of its readings that count, in the order of time, and the
+    derivatives (q, D) of these, in standard deviations, in its own unknowns."""
+    readings = fitted.readings
+    counts = (readings.kind == OBSERVED) & (readings.weight > 0.5) & (fitted.curvature > 0)
+    noise = 1 / np.sqrt(np.maximum(fitted.curvature, 1e-300))
+    counts &= clear_of_limits(fitted.mu, fitted.data, noise)  # others are chosen by their errors
+    for taxel in taxels:
+        rows = np.arange(*readings.starts[taxel : taxel + 2])
+        rows = rows[counts[rows]]
+        rows = rows[np.argsort(readings.contact[rows], kind="stable")]
+        yield taxel, rows, (fitted.own[:, rows] * np.sqrt(fitted.curvature[rows])).T
+
+
+def _places(fitted: FittedReadings, taxel: int, rows: np.ndarray) -> Array:
+    """Contact points (q, 2) of the readings in the taxel's tangent plane, in reaches."""
+    off = fitted.data.points[fitted.readings.contact[rows]] - fitted.points[taxel]
+    return np.asarray(off @ fitted.tangents[taxel] / np.median(fitted.data.reach()))
+
+
+def _in_time(span: float) -> Kernel:
+    """Errors that correlate over `span` contacts."""
+
+    def kernel(contact: Array, place: Array) -> tuple[Array, ...]:
+        return (np.exp(-np.abs(contact[:, None] - contact) / span),)
+
+    return kernel
+
+
+def _in_place(width: float) -> Kernel:
+    """Errors that correlate over `width` reaches, even and odd in the place."""
+
+    def kernel(contact: Array, place: Array) -> tuple[Array, ...]:
+        near, mirrored = (
+            np.exp(-np.sum((place[:, None] - sign * place) ** 2, axis=2) / (2 * width**2))
+            for sign in (1.0, -1.0)
+        )
+        return (near + mirrored) / 2, (near - mirrored) / 2
+
+    return kernel
+
+
+def _score(samples: list[tuple[Array, Array, Array, Array]], kernel: Kernel) -> float:
+    """Score of the kernel's correlations at a variance of zero; its own variances, which noise has,
+    too, do not count."""
+    slope = information = 0.0
+    for contact, place, free, residual in samples:
+        covariance = np.sum(kernel(contact, place), axis=0)
+        np.fill_diagonal(covariance, 0.0)
+        shared, residual = free.T @ covariance @ free, free.T @ residual
+        slope += residual @ shared @ residual - np.trace(shared)
+        information += 2 * np.sum(shared**2)
+    return float(slope / max(information, 1e-300) ** 0.5)
+
+
+def _most_likely(
+    samples: list[tuple[Array, Array, Array, Array]], kernel: Kernel
+) -> tuple[float, Array]:
+    """Negative logarithm of the largest restricted likelihood, and the variances there."""
+    from scipy.optimize import minimize
+
+    size = max(free.shape[1] for _, _, free, _ in samples)
+    parts = len(kernel(*samples[0][:2]))
+    shared, residuals = np.zeros((parts, len(samples), size, size)), np.zeros((len(samples), size))
+    for k, (contact, place, free, residual) in enumerate(samples):
+        q = free.shape[1]
+        residuals[k, :q] = free.T @ residual
+        for part, matrix in enumerate(kernel(contact, place)):
+            shared[part, k, :q, :q] = free.T @ matrix @ free
+    count = sum(free.shape[1] for _, _, free, _ in samples)
+
+    def cost(log_ratio: Array) -> tuple[float, float]:
+        ratio = np.exp(np.minimum(log_ratio, np.log(MAX_RATIO)))
+        root = np.linalg.cholesky(np.eye(size) + np.tensordot(ratio, shared, 1))
+        white = np.linalg.solve(root, residuals[:, :, None])
+        noise = float(np.sum(white**2)) / count
+        volume = float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
+        return volume + count * np.log(noise) / 2, noise
+
+    found = minimize(
+        lambda x: cost(x)[0], np.full(parts, np.log(START)), method="Nelder-Mead",
+        options={"xatol": 0.1, "fatol": 0.1},
+    )  # fmt: skip
+    ratio = np.exp(np.minimum(found.x, np.log(MAX_RATIO)))
+    return float(found.fun), ratio * cost(found.x)[1]

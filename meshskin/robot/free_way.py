@@ -1,0 +1,58 @@
+"""Ways through the air on which an indenter leaves a contact, or comes to it from outside."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.arrays import Array
+from ..geometry.body import Body
+
+WAYS = 64
+"""Directions that are tried: neighbours are about 25 degrees apart, as wide as an opening seen from
+two of its diameters away."""
+SLACK = 0.05
+"""Part of the indenter's radius by which it may overlap the body on its way, as it starts in
+contact; and its least step, relative to its radius."""
+
+
+def enclosed(body: Body, points: Array, normals: Array, radius: float) -> NDArray[np.bool_]:
+    """Whether (k,) no straight way leads an indenter of `radius`, m, out of the body.
+
+    points (k, 3): contact points, m; normals (k, 3): outward. The first way is the normal; where
+    the body is ahead, others are tried, from halfway to it and from the contact itself. The
+    indenter is a sphere here, as in the motion through the air: its support is tested at the
+    contact alone.
+    """
+    centres = points + radius * normals
+    ahead = free_lengths(body, centres, normals, radius)
+    held = np.flatnonzero(np.isfinite(ahead))
+    ways = np.random.default_rng(0).normal(size=(WAYS, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    for part in (0.5, 0.0):
+        for way in ways:
+            start = centres[held] + part * ahead[held, None] * normals[held]
+            length = free_lengths(body, start, np.tile(way, (len(held), 1)), radius)
+            held = held[~np.isinf(length)]
+    out = np.zeros(len(points), dtype=bool)
+    out[held] = True
+    return out
+
+
+def free_lengths(body: Body, start: Array, ways: Array, radius: float) -> Array:
+    """How far (k,), m, a sphere of `radius`, m, moves from centres (k, 3) along unit vectors (k, 3)
+    before it meets the body; inf where it never does.
+
+    Source: Hart, "Sphere tracing", Visual Computer 12 (1996).
+    """
+    least = SLACK * radius
+    longest = float(np.linalg.norm(np.ptp(body.mesh.bounds, axis=0))) + 2.0 * radius
+    length, going = np.zeros(len(start)), np.arange(len(start))
+    while len(going):
+        at = start[going] + length[going, None] * ways[going]
+        gap = np.abs(body.surface.nearest(at).distance) - radius + least
+        going, gap = going[gap >= 0.0], gap[gap >= 0.0]
+        length[going] += np.maximum(gap, least)
+        length[going[length[going] > longest]] = np.inf
+        going = going[np.isfinite(length[going])]
+    return length
