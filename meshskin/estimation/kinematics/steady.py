@@ -27,7 +27,8 @@ SHALLOW = 0.3
 """Part of the depth by which a contact is higher than another one of the touch in the same place,
 from which it is left out: its force is below 0.6 of that one's (Hertz)."""
 MAX_CONTACTS = 5000
-"""Contacts that are kept, evenly chosen: the estimate takes seconds for a thousand."""
+"""Contacts that are kept, evenly chosen: with a thousand the log of `tests/estimation/kinematics/
+test_bag.py` is not within 1.2 of its bound."""
 
 
 def steady(
