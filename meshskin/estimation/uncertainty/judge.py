@@ -90,6 +90,7 @@ def judge(
         lambda: verdict.forces(recording, calibration),
         lambda: verdict.force_offset(data, calibration),
         lambda: verdict.alike(calibration),
+        lambda: verdict.few_readings(calibration),
         lambda: verdict.profile(calibration),
         lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
