@@ -69,9 +69,11 @@ def _cubic(part: Array) -> list[tuple[Array, Array]]:
     """The cubic B-splines about the knots -1, 0, 1 and 2, and their derivatives, at `part` (k,)
     from 0 to 1."""
     rest = 1 - part
+    a, b = part**2, rest**2  # NumPy's third power takes ten times as long as a product
+    c, d = a * part, b * rest
     return [
-        (rest**3 / 6, -(rest**2) / 2),
-        (2 / 3 - part**2 + part**3 / 2, -2 * part + 1.5 * part**2),
-        (2 / 3 - rest**2 + rest**3 / 2, 2 * rest - 1.5 * rest**2),
-        (part**3 / 6, part**2 / 2),
+        (d / 6, -b / 2),
+        (2 / 3 - a + c / 2, -2 * part + 1.5 * a),
+        (2 / 3 - b + d / 2, 2 * rest - 1.5 * b),
+        (c / 6, a / 2),
     ]

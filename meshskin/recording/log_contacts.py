@@ -14,7 +14,7 @@ import pyarrow as pa
 from ..core.arrays import Array
 from ..core.errors import RecordingError, UnknownNameError
 from ..robot.contact_kinematics import JointPath
-from .recording import CONTACTS, NOMINAL, READINGS, Recording
+from .recording import CONTACTS, JOINT_ANGLES, NOMINAL, READINGS, Recording
 from .skin_log import SkinLog
 
 MAX_MISSING = 0.2
@@ -88,7 +88,7 @@ def recording_of(
     ids = np.asarray(log.taxel_ids)
     schema = READINGS.set(1, pa.field("taxel", pa.from_numpy_dtype(ids.dtype)))
     table = pa.table([time[contact], ids[column], values[contact, column]], schema=schema)
-    metadata = {"taxel_ids": ids.tolist(), "readings": readings, "source": "joint angles"}
+    metadata = {"taxel_ids": ids.tolist(), "readings": readings, "source": JOINT_ANGLES}
     if log.force is None:
         metadata["force"] = NOMINAL
     return Recording(contacts, table, metadata)

@@ -48,6 +48,9 @@ NOMINAL = "nominal"
 holds a reference force."""
 FROM_TAXELS = "taxels"
 """Value of "contact_points" in the metadata where the robot computed them from its own taxels."""
+JOINT_ANGLES = "joint angles"
+"""Value of "source" in the metadata where contacts were computed from joint angles: their normals
+are those of the body's surface."""
 _PARTS = ("contacts", "readings", "motion")
 
 

@@ -77,7 +77,8 @@ class Belief(Value, NamedFields):
     priors: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations of unknowns before any data, where they are not the defaults."""
     surface_sigma: float = quantity("m", 0.0, least=0.0)
-    """Standard deviation, m, of the real surface about that of `body`, where it is known; beside it
+    """Standard deviation, m, of the real surface about that of `body`, where it is known: of dents,
+    and of a body of another size, on which taxels are displaced along the surface, too; beside it
     stands what the distances of the contact points from the body show."""
     headings: Array | None = None
     """Rotations (m, 3, 3), world from body, of the recording's m contacts; an unknown indenter

@@ -23,7 +23,12 @@ from ...core.errors import CalibrationError
 from ..data.global_parameters import MIN_KEPT, MOTION
 from ..data.measurements import Measurements
 from .friction import Shears
-from .patch_derivatives import LoadDerivatives, SurfaceGradients, loaded_patches
+from .patch_derivatives import (
+    LoadDerivatives,
+    SurfaceGradients,
+    closest_on_paraboloids,
+    loaded_patches,
+)
 
 MAX_SIGMAS = 20.0
 """Prior standard deviations at which the global parameters are clipped, so that no trial step of
@@ -31,9 +36,9 @@ the optimizer overflows; far beyond any estimate."""
 HEIGHT_ITERATIONS = 2
 """Iterations that bring the moved centre to its height over the body: each reduces the error by the
 squared rotation of the normal, which is small."""
-FOOT_ITERATIONS = 6
-"""Iterations that find the closest point on the paraboloid: each reduces the error by the squared
-rotation of the normal."""
+MIN_COSINE = 0.8
+"""Cosine of the angle between recorded normal and that of the surface, below which a contact keeps
+its height along the latter: at a crease of a mesh they differ, and the iterations would diverge."""
 
 
 @dataclass(frozen=True)
@@ -226,15 +231,19 @@ class LinearizedContacts:
 
     def _moved(self, fixed: Contacts, s: Array) -> Contacts:
         """The contacts where s (ks,) puts them, from where they were linearized."""
-        gradients, k = self.gradients, self.data.curvature
+        gradients, height = self.gradients, self._heights(s)
         assert gradients is not None
-        height = self._heights(s)
+        k = self.data.curvature
         centre, up, _ = self._centres(s, height)
+        steep = np.sum(up * fixed.normals, axis=1) < MIN_COSINE
+        up = np.where(steep[:, None], fixed.normals, up)
         frame = np.stack(
             [fixed.directions, np.cross(fixed.normals, fixed.directions), fixed.normals], axis=1
         )
         goal = np.einsum("mai,mi->ma", frame, centre - fixed.points)
-        foot, normal, lift = _foot(k, goal, np.einsum("mai,mi->ma", frame, up), height)
+        foot, normal, lift = closest_on_paraboloids(
+            k, goal, np.einsum("mai,mi->ma", frame, up), height
+        )
         step, normal = (np.einsum("mai,ma->mi", frame, part) for part in (foot, normal))
         first = fixed.directions - normal * np.einsum("mi,mi->m", normal, fixed.directions)[:, None]
         first /= np.linalg.norm(first, axis=1)[:, None]
@@ -332,19 +341,3 @@ class LinearizedContacts:
         s = self._clipped(s)
         h, b = (self.parameters.value(name, s) for name in ("force_scale", "force_offset"))
         return np.maximum(np.exp(h) * self.recorded.force + b, 0.01 * self.recorded.force)
-
-
-def _foot(curvature: Array, goal: Array, up: Array, height: Array) -> tuple[Array, Array, Array]:
-    """Closest points (m, 3), m, of paraboloids, normals (m, 3) there and lifts (m,), m.
-
-    The paraboloids z = -(k_1 x^2 + k_2 y^2) / 2 have the `curvature` (m, 2), 1/m. Each point solves
-    foot + height * normal = `goal` (m, 3) + lift * `up` (m, 3), m, in its contact's frame.
-    """
-    flat, lift = np.zeros((len(goal), 2)), np.zeros(len(goal))
-    for _ in range(FOOT_ITERATIONS):
-        normal = np.column_stack([curvature * flat, np.ones(len(flat))])
-        normal /= np.linalg.norm(normal, axis=1)[:, None]
-        off = goal + lift[:, None] * up - height[:, None] * normal
-        flat = flat + (off[:, :2] - flat) / (1 + height[:, None] * curvature)
-        lift = lift - (off[:, 2] + np.sum(curvature * flat**2, axis=1) / 2) / up[:, 2]
-    return np.column_stack([flat, -np.sum(curvature * flat**2, axis=1) / 2]), normal, lift

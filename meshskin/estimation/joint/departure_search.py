@@ -4,6 +4,7 @@ is estimated, and stays if it makes the readings more likely.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,9 @@ chance."""
 MAX_ROUNDS, SAME = 6, 0.05
 """Largest number of choices of the neighbours that crosstalk: places follow, and the choice them;
 and the change of their weights from which the choice is the same."""
+NOISY = 0.05
+"""Noise, relative to the peak, from which forces that are recorded as equal may differ: that of
+sensors is 0.5 to 5 %."""
 MAX_SHARE = 0.8
 """Largest share of a reading that hysteresis, creep or crosstalk have: others stand behind more."""
 LEAST_GAIN = 0.5
@@ -38,12 +42,18 @@ WIDE_FORCES = 0.2
 and scale would go far to explain."""
 
 
-def with_departures(effects: RandomEffects) -> tuple[RandomEffects, dict[str, float]]:
+def with_departures(
+    effects: RandomEffects, excluded: Collection[str] = ()
+) -> tuple[RandomEffects, dict[str, float]]:
     """The estimate at its optimum, with what the readings show beyond the response, and the scores
-    of other departures, but for those that make the readings hardly more likely."""
-    begin, unlikely, failed = (effects.unknowns, effects.deviations), set[str](), set[str]()
-    if not effects.converge():
-        effects = min(effects, _from_wider_forces(effects, *begin), key=_objective)
+    of other departures, but for those that make the readings hardly more likely.
+
+    excluded: departures that are not estimated. Forces that are recorded as equal may differ by
+    more than a start with small errors of theirs finds.
+    """
+    begin, unlikely, failed = (effects.unknowns, effects.deviations), set[str](), set(excluded)
+    if not effects.converge() or _may_hide_forces(effects):
+        effects = _likelier_with_wider_forces(effects, *begin)
     while True:
         found = _scores(effects)
         left = {name: score for name, (score, _) in found.items() if name not in unlikely}
@@ -59,7 +69,7 @@ def with_departures(effects: RandomEffects) -> tuple[RandomEffects, dict[str, fl
         # a small departure of this kind gains half its squared score; the drift's is a variance's
         if gain > (LEAST_GAIN * left[name] ** 2 / 2 if name != "drift" else 0.0):
             begin, effects = first, extended
-            failed.clear()
+            failed = set(excluded)
         else:
             unlikely.add(name)
         if not converged:  # a response of another kind; further departures would not mend it
@@ -106,15 +116,25 @@ def _within_modules(effects: RandomEffects) -> tuple[RandomEffects, bool]:
     return effects, True
 
 
-def _from_wider_forces(effects: RandomEffects, u: Unknowns, d: Deviations) -> RandomEffects:
-    """The estimate from the unknowns u with WIDE_FORCES; `effects` where that is singular."""
+def _may_hide_forces(effects: RandomEffects) -> bool:
+    """Whether the noise may be that of forces which are recorded as equal, but differ."""
+    noise = effects.deviations.noise * effects.data.sigma / effects.data.nominal_peak
+    return bool(np.ptp(effects.data.force) == 0 and noise > NOISY)
+
+
+def _likelier_with_wider_forces(
+    effects: RandomEffects, u: Unknowns, d: Deviations
+) -> RandomEffects:
+    """The estimate from the unknowns u with WIDE_FORCES if it makes the readings more likely, else
+    `effects`, as where it is singular, or its forces have no bounds."""
     d = replace(d, force=WIDE_FORCES)
     wider = RandomEffects(effects.data, effects.readings, u, d, effects.pattern, effects.stage)
     try:
-        wider.converge()
-    except SingularMatrixError:
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            wider.converge()
+            return min(effects, wider, key=_objective)
+    except (SingularMatrixError, IndexError):
         return effects
-    return wider
 
 
 def plausible(extended: RandomEffects, name: str) -> bool:
@@ -144,7 +164,7 @@ def _objective(effects: RandomEffects) -> float:
     spread = effects.spread[effects.readings.kind == OBSERVED]
     taxel, contact, shared = (np.log(p[p > 0]).sum() for p in effects.prior)
     count = len(effects.unknowns.nuisance), len(effects.unknowns.errors)
-    system, _, decrease = effects.solution()
+    system, _, decrease = effects.system().newton_step()
     volume = system.log_determinant() - count[0] * taxel - count[1] * contact - shared
     return effects.cost() - decrease + float(np.log(spread).sum() + volume / 2)
 

@@ -20,7 +20,7 @@ import numpy as np
 from ...core.arrays import Array, sums_by_group
 from ..data.global_parameters import DRIFT_SIZE
 from ..data.measurements import Measurements
-from .coupled_system import CoupledSystem
+from .coupled_system import CoupledSystem, inner
 from .electronics import WIDTH, Electronics
 from .friction import shears
 from .joint_estimator import JointEstimator
@@ -79,10 +79,13 @@ class FittedReadings:
         largest first, but last the drift, for which each of the others can stand in."""
         drift = self._each(self.data.phase[self.readings.contact])
         n = max(int(np.sum(drift != 0)), 1)
-        candidates, found, end = self._candidates(), dict[str, tuple[float, Array]](), 0
-        slope, information = self.shared(np.column_stack([c for _, c, _ in candidates]))
-        for name, columns, start in candidates:
-            at = slice(end, end := end + columns.shape[1])
+        found, end = dict[str, tuple[float, Array]](), 0
+        names, each, starts = zip(*self._candidates(), strict=True)
+        sizes, columns = [part.shape[1] for part in each], np.column_stack(each)
+        del each  # its memory serves the solution
+        slope, information = self.shared(columns)
+        for name, size, start in zip(names, sizes, starts, strict=True):
+            at = slice(end, end := end + size)
             score, sign = _score(slope[at], information[at, at])
             if name in ONE_SIDED:
                 score *= sign
@@ -148,21 +151,19 @@ class FittedReadings:
         weighted = self.curvature[:, None] * columns
         information = weighted.T @ columns
         known, slope = np.diag(information).copy(), -(self.rate @ columns)
-        if self.system is None:
+        if self.system is not None:
+            parts = self.system.transposed(self.jacobian, weighted)
+            explained, along = self.system.explained(*parts)
+            information, slope = information - explained, slope + along
+        else:
             each = [self._coupling(column) for column in columns.T]
             solved = [self._solved(b) for b in each]
-            explained = [(np.stack(each, axis=2), np.stack(solved, axis=2))]
-        else:
-            parts = self.system.transposed(self.jacobian, weighted)
-            explained = list(zip(parts, self.system.solve(*parts), strict=True))
-            for (_, x), gradient in zip(explained, self.system.gradient, strict=True):
-                slope += np.ravel(gradient) @ x.reshape(-1, len(known))
-        for part, x in explained:
-            information -= part.reshape(-1, len(known)).T @ x.reshape(-1, len(known))
-        if self.system is None:  # a scale that is wrong would pass for amplitudes that change
+            part = np.stack(each, axis=2)
+            information -= inner(part, np.stack(solved, axis=2))
+            # a scale that is wrong would pass for amplitudes that change
             scale = np.maximum(self.mu - self.offset, 0.0)
-            follows = np.ravel(self._solved(self._coupling(scale)))
-            common = weighted.T @ scale - part.reshape(-1, len(known)).T @ follows
+            follows = self._solved(self._coupling(scale))
+            common = weighted.T @ scale - inner(part, follows[..., None])[:, 0]
             own = float(self._moments(scale)[1].sum())
             if own > 0:  # zero without any reading that counts
                 slope = slope + common * float(self.rate @ scale) / own

@@ -5,6 +5,7 @@ Taxels that are touched before and after it show it: others are displaced with t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,6 +17,9 @@ from .joint_estimator import JointEstimator
 
 PLACES = 15
 """Places in a recording, evenly spaced, where a jump is looked for."""
+TOGETHER = 5
+"""Places whose displacements are solved for together: more need the memory of the contacts' again.
+"""
 MIN_SHOWN = 0.02
 """Information on a direction of a jump, relative to the best known one, from which it is estimated:
 that along the normals is near zero."""
@@ -52,8 +56,7 @@ def largest_jump(fitted: FittedReadings, places: ArrayLike | None = None) -> Jum
     if places is None:
         places = np.unique(np.linspace(0, m, PLACES + 2).astype(int)[1:-1])
         places = places[places > 0]  # from the first contact on all move: that is no jump
-    for begin in np.asarray(places):
-        slope, information = fitted.shared((fitted.readings.contact >= begin)[:, None] * moved)
+    for begin, slope, information in _displaced(fitted, moved, np.asarray(places)):
         value, vectors = np.linalg.eigh(information)
         seen = value > MIN_SHOWN * max(float(value[-1]), 1e-300)
         if not seen.any():
@@ -63,6 +66,21 @@ def largest_jump(fitted: FittedReadings, places: ArrayLike | None = None) -> Jum
         if score > best.score:
             best = Jump(score, begin / m, vectors @ (along / value))
     return best
+
+
+def _displaced(
+    fitted: FittedReadings, moved: Array, places: np.ndarray
+) -> Iterator[tuple[int, Array, Array]]:
+    """Each place, with derivative (3,) and information (3, 3) of displacements from there on; moved
+    (k, 3): derivatives of the readings in displacements of their contacts."""
+    for begin in range(0, len(places), TOGETHER):
+        few = places[begin : begin + TOGETHER]
+        later = fitted.readings.contact[:, None] >= few
+        columns = (later[:, :, None] * moved[:, None]).reshape(-1, 3 * len(few))
+        slope, information = fitted.shared(columns)
+        for k, place in enumerate(few):
+            at = slice(3 * k, 3 * k + 3)
+            yield place, slope[at], information[at, at]
 
 
 def jump_of(estimator: JointEstimator, fitted: FittedReadings) -> Jump:

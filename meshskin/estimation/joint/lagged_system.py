@@ -126,6 +126,14 @@ class LaggedSystem(CoupledSystem):
         y = y - self._by_all @ x
         return y[:n], y[n:, :CONTACT_SIZE], np.asarray(x)
 
+    def explained(self, taxels: Array, contacts: Array, shared: Array) -> tuple[Array, Array]:
+        """As CoupledSystem.explained."""
+        parts = taxels, contacts, shared
+        x = [part.reshape(-1, part.shape[-1]) for part in self.solve(taxels, contacts, shared)]
+        square = sum(b.reshape(-1, b.shape[-1]).T @ y for b, y in zip(parts, x, strict=True))
+        along = sum(y.T @ g.ravel() for y, g in zip(x, self.gradient, strict=True))
+        return np.asarray(square), np.asarray(along)
+
     def following(self, shared: Array) -> Parts:
         """As CoupledSystem.following."""
         y, n = -self._by_all @ shared, len(self.taxels)

@@ -88,8 +88,9 @@ def _unconverged(value: str) -> CalibrationError:
     )
 
 
-def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
-    """As `estimate`; SingularMatrixError where normal equations are singular."""
+def _estimate(data: Measurements, stage: Stage, excluded: tuple[str, ...] = ()) -> EstimatorResult:
+    """As `estimate`; SingularMatrixError where normal equations are singular. excluded: departures
+    that are not estimated, as without outlying readings they came out implausible."""
     clock, recorded = time.perf_counter(), data
     stuck = fault_detection.stuck_taxels(data)
     # readings far from the contacts, such as those that hysteresis leaves, do not tell the place
@@ -99,14 +100,14 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     stage.expect(USUAL_STEPS)
     effects = _begin(with_learned_response(data, start.points), live, start, stage)
     weight = np.ones(len(data.pressure))
-    effects, departures = with_departures(effects)
+    effects, departures = with_departures(effects, excluded)
     frozen = _frozen(effects, live, weight)
     if _lacks(effects, frozen):
         effects = _restarted(effects, frozen)
         effects.converge()
         frozen = _frozen(effects, live, weight)
     if len(bad := displaced_contacts(effects)) and not len(recorded.misfitting):
-        return _estimate(recorded.without_contacts(bad), stage)
+        return _estimate(recorded.without_contacts(bad), stage, excluded)
     for repeated in range(MAX_ROUNDS):
         estimator = reject_outliers(_frozen(effects, live, weight) if repeated else frozen)
         rivals = resolve_rivals(estimator)
@@ -115,10 +116,12 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
         weight = estimator.weight
         effects = _restarted(effects, estimator)
         effects.converge()
-    if (decrease := effects.solution()[2]) > MAX_DECREASE * len(effects.mu):
+    if (decrease := effects.system().newton_step()[2]) > MAX_DECREASE * len(effects.mu):
         raise _unconverged(f"steps still decrease the cost by {decrease:.3g}")
     if wild := [name for name in ELECTRONICS if not plausible(effects, name)]:
-        raise _unconverged(f"implausible {', '.join(wild)}")
+        if excluded:
+            raise _unconverged(f"implausible {', '.join(wild)}")
+        return _estimate(recorded, stage, tuple(wild))
     found = learned_result(effects, estimator, rivals, reasons, clock)
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)

@@ -29,6 +29,12 @@ face, and the step averages over some of them."""
 MAX_TURN = 0.3
 """Largest rotation of the principal direction over STEP, rad: beyond it the point is taken for an
 umbilic, where the direction is undefined and the patch nearly a circle."""
+FOOT_ITERATIONS = 6
+"""Iterations that find the closest point on the paraboloid: each reduces the error by the squared
+rotation of the normal."""
+MAX_CHANGE = 1.0
+"""Largest change of the logarithm of a patch's size or peak by a step over the surface: beyond, its
+gradient, which is that of a patch at a crease of a mesh, says nothing of the patch there."""
 
 
 class LoadDerivatives(NamedTuple):
@@ -121,13 +127,17 @@ class SurfaceGradients:
                 np.log(plus.patches.peak / minus.patches.peak),
                 _axis_rotation(data, plus) - _axis_rotation(data, minus),
             ]
+            # a patch is an average over itself: at a crease of a mesh a point's curvature is not
+            steepest = 2 * STEP / np.sqrt(data.patches.first * data.patches.second)
+            changes = [np.clip(change, -steepest, steepest) for change in changes]
             found.append([change[:, None] * side / (2 * STEP) for change in changes])
         return cls(*(one + other for one, other in zip(*found, strict=True)))
 
     def patches(self, at: Patches, step: Array) -> Patches:
-        """The patches after steps (m, 3), m, over the surface from `at`."""
+        """The patches after steps (m, 3), m, over the surface from `at`; no size changes by more
+        than MAX_CHANGE."""
         first, second, exponent, peak = (
-            np.einsum("mi,mi->m", slope, step)
+            np.clip(np.einsum("mi,mi->m", slope, step), -MAX_CHANGE, MAX_CHANGE)
             for slope in (self.first, self.second, self.exponent, self.peak)
         )
         return at._replace(
@@ -146,3 +156,21 @@ def _axis_rotation(here: Measurements, there: Measurements) -> Array:
     )
     spin = across * np.where(along < 0, -1.0, 1.0)
     return np.asarray(np.where(np.abs(spin) < MAX_TURN, spin, 0.0))
+
+
+def closest_on_paraboloids(
+    curvature: Array, goal: Array, up: Array, height: Array
+) -> tuple[Array, Array, Array]:
+    """Closest points (m, 3), m, of paraboloids, normals (m, 3) there and lifts (m,), m.
+
+    The paraboloids z = -(k_1 x^2 + k_2 y^2) / 2 have the `curvature` (m, 2), 1/m. Each point solves
+    foot + height * normal = `goal` (m, 3) + lift * `up` (m, 3), m, in its contact's frame.
+    """
+    flat, lift = np.zeros((len(goal), 2)), np.zeros(len(goal))
+    for _ in range(FOOT_ITERATIONS):
+        normal = np.column_stack([curvature * flat, np.ones(len(flat))])
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        off = goal + lift[:, None] * up - height[:, None] * normal
+        flat = flat + (off[:, :2] - flat) / (1 + height[:, None] * curvature)
+        lift = lift - (off[:, 2] + np.sum(curvature * flat**2, axis=1) / 2) / up[:, 2]
+    return np.column_stack([flat, -np.sum(curvature * flat**2, axis=1) / 2]), normal, lift

@@ -20,7 +20,7 @@ from ...core.arrays import Array
 from .coupled_system import CoupledSystem
 from .deviations import Effects
 from .likelihood import Readings
-from .reading_sums import CONTACT_SIZE
+from .reading_sums import CONTACT_SIZE, Parts
 
 MIN_PROBES, MAX_PROBES, PROBED = 2, 6, 6000
 """Hutchinson's probes: with n taxels the sums are known to about 1 / sqrt(probes n), and n times
@@ -75,12 +75,14 @@ class Posterior:
         its coefficients among these; names (D - 2,): of a taxel's effects."""
         count = probes.count
         signs = root[:, None] * probes.readings
-        x = system.solve(*system.transposed(jacobian, signs))
-        fitted = system.forward(jacobian, x)
         # in units of the prior deviations no effect's probe drowns another's
         taxel, contact = (np.sqrt(part)[:, None] for part in prior[:2])
         none = np.zeros((len(prior[2]), count))
-        x = system.solve(taxel * probes.taxels, contact * probes.contacts, none)
+        effects = taxel * probes.taxels, contact * probes.contacts, none
+        both = zip(system.transposed(jacobian, signs), effects, strict=True)
+        solved = system.solve(*(np.concatenate(parts, axis=-1) for parts in both))
+        fitted = system.forward(jacobian, _columns(solved, slice(count)))
+        x = _columns(solved, slice(count, None))
         taxels = probes.taxels - taxel * x[0] * probes.seen[:, None, None]
         contacts = probes.contacts - contact * x[1] * probes.touched[:, None, None]
 
@@ -110,3 +112,7 @@ class Posterior:
     def effects(self, name: str, square: float, count: int) -> Effects:
         """The effects of the deviation `name`; square: the sum of their squares relative to its."""
         return Effects(square, self.determined[name], self.information[name], count)
+
+
+def _columns(x: Parts, chosen: slice) -> Parts:
+    return x[0][..., chosen], x[1][..., chosen], x[2][..., chosen]

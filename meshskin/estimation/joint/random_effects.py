@@ -14,9 +14,9 @@ Biometrika 58 (1971).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from ...core.arrays import Array
 from ...core.progress import Stage
 from ..data.global_parameters import ELECTRONICS
 from ..data.measurements import Measurements
-from ..posegraph.symmetric_blocks import SingularMatrixError
 from . import fault_detection
 from .contacts import LinearizedContacts
 from .coupled_system import CoupledSystem, CouplingPattern
@@ -37,7 +36,7 @@ from .noise import clear_of_limits
 from .parametrization import Unknowns
 from .posterior import Posterior, Probes
 from .pressure import OBSERVED, costs
-from .reading_sums import CONTACT_SIZE, Parts
+from .reading_sums import CONTACT_SIZE
 from .variable_projection import LOOSE_SIGMA
 
 MAX_ITERATIONS, USUAL_ITERATIONS = 60, 30
@@ -59,8 +58,6 @@ TRIALS = (
 RESTRAINED = 2
 """The trial that the first step begins with: far from the optimum, global parameters would go along
 the valley by what places and effects still lack."""
-DAMPINGS = (0.0, 1e-3, 1e-2, 0.1, 1.0)
-"""Damping of singular normal equations, relative to their diagonal, in the order of trials."""
 HUBER = 4.0
 """Residual, in standard deviations, from which a reading's cost grows linearly: 6e-5 of the sound
 ones exceed it."""
@@ -74,6 +71,8 @@ TOLERANCE = 0.2
 converged."""
 NOISE_TOLERANCE = 0.03
 """Change of the logarithm of the noise at which it has converged."""
+
+T = TypeVar("T")
 
 
 class RandomEffects:
@@ -111,6 +110,7 @@ class RandomEffects:
         self.jacobian = np.empty((len(readings.taxel), width))
         self.lag, self.rests_on = np.zeros((len(readings.taxel), CONTACT_SIZE)), readings.contact
         self.spread = np.ones(len(readings.taxel))
+        self._made, self._made_at = dict[str, Any](), (unknowns, deviations, self.mu)
         self.move(unknowns)
         self.spread = self.deviations.noise_of(self.mu)
 
@@ -141,7 +141,10 @@ class RandomEffects:
 
     def added_by(self, names: tuple[str, ...]) -> Array:
         """What departures, ELECTRONICS among them, add to each reading (k,), in units of noise."""
-        without = self._predicted(None, self.unknowns.without(names, self.data.parameters))
+        p = self.data.parameters
+        if not {*names} & {*p.names, *p.nuisance_names}:
+            return np.zeros_like(self.mu)
+        without = self._predicted(None, self.unknowns.without(names, p))
         return self.mu - np.concatenate([mu for _, mu, _ in without])
 
     def _predicted(self, by: Electronics | None, u: Unknowns) -> Iterator[tuple[Any, Array, Array]]:
@@ -161,7 +164,7 @@ class RandomEffects:
 
     def fitted(self) -> FittedReadings:
         """The readings at the present values."""
-        _, rate, curvature = self._costs()
+        _, rate, curvature = self._once(self._costs)
         return FittedReadings(
             data=self.data,
             readings=self.readings,
@@ -184,7 +187,7 @@ class RandomEffects:
 
     def cost(self) -> float:
         """Cost of readings and random effects at the present values."""
-        cost = self._costs()[0]
+        cost = self._once(self._costs)[0]
         taxel, contact, shared = self.prior
         u = self.unknowns
         total = cost.sum() + (taxel[2:] * u.nuisance**2).sum() / 2
@@ -202,9 +205,22 @@ class RandomEffects:
         weight = readings.weight
         return weight * cost, weight * rate * share, weight * curvature * share
 
+    def _once(self, make: Callable[[], T]) -> T:
+        """What `make` gives at the present values, made once."""
+        values = self.unknowns, self.deviations, self.spread
+        if any(a is not b for a, b in zip(values, self._made_at, strict=True)):
+            self._made.clear()  # its memory serves what follows
+            self._made_at = values
+        if make.__name__ not in self._made:
+            self._made[make.__name__] = make()
+        return cast(T, self._made[make.__name__])
+
     def system(self) -> CoupledSystem:
         """The normal equations at the present values, with priors."""
-        _, rate, curvature = self._costs()
+        return self._once(self._normal_equations)
+
+    def _normal_equations(self) -> CoupledSystem:
+        _, rate, curvature = self._once(self._costs)
         (taxel, contact, shared), u = self.prior, self.unknowns
         slopes = rate / self.spread, curvature / self.spread**2
         bare = CoupledSystem.from_readings(self.pattern, self.jacobian, *slopes, self.size)
@@ -238,7 +254,7 @@ class RandomEffects:
         """
         crossed, self.crossed = self.crossed, None
         before, cost, rise = crossed or (self.unknowns, self.cost(), np.inf)
-        here, (system, x, decrease) = self.unknowns, self.solution()
+        here, (system, x, decrease) = self.unknowns, self.system().newton_step()
         settles = crossed is None and min(decrease, self.last_decrease) < settled
         posterior = self.posterior(system) if settles else None
         for weight, part in TRIALS[self.restraint :]:
@@ -270,22 +286,6 @@ class RandomEffects:
         nuisance = before.nuisance + taxels[:, 2:]
         self.move(Unknowns(moved, nuisance, before.errors + errors, before.s + s))
 
-    def solution(self) -> tuple[CoupledSystem, Parts, float]:
-        """The normal equations, damped where rounding makes them singular, their solution, and the
-        decrease of the cost that it promises. Raises SingularMatrixError where damping fails.
-        """
-        system = self.system()
-        gradient = tuple(g[..., None] for g in system.gradient)
-        for damping in DAMPINGS:
-            damped = system.damped(damping)
-            try:
-                x = damped.solve(*gradient)
-                decrease = sum(float(np.vdot(a, g)) for a, g in zip(x, gradient, strict=True)) / 2
-                return damped, (x[0][..., 0], x[1][..., 0], x[2][..., 0]), decrease
-            except SingularMatrixError as error:
-                singular = error
-        raise singular
-
     def converge(self) -> bool:
         """Move unknowns and variances until they no longer change; False at the limit of steps."""
         settled = SETTLED * int((self.readings.kind == OBSERVED).sum())
@@ -306,7 +306,7 @@ class RandomEffects:
 
     def posterior(self, system: CoupledSystem) -> Posterior:
         """The posterior of the effects at the present point."""
-        root = np.sqrt(self._costs()[2]) / self.spread
+        root = np.sqrt(self._once(self._costs)[2]) / self.spread
         p = self.data.parameters
         profile, names = p.columns["profile"], p.nuisance_names
         return Posterior.of(system, self.jacobian, root, self.prior, self.probes, profile, names)

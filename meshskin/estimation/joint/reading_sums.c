@@ -74,9 +74,18 @@ DECLARE void eliminate_contacts(integer contacts, integer size, const integer *s
 DECLARE void products(integer count, integer rows, integer inner, integer columns, const double *a,
                       integer stride, integer down, integer across, const integer *owner,
                       const integer *source, const double *values, double *out) {
-  for (integer r = 0; r < count; r++, a += stride)
-    for (integer i = 0; i < rows; i++)
-      for (integer j = 0; j < inner; j++)
-        add_scaled(out + (owner[r] * rows + i) * columns, values + (source[r] * inner + j) * columns,
-                   columns, a[i * down + j * across]);
+  for (integer r = 0; r < count; r++, a += stride) {
+    const double *restrict v = values + source[r] * inner * columns;
+    double *restrict to = out + owner[r] * rows * columns;
+    for (integer i = 0; i < rows; i++, to += columns) {
+      const double *row = a + i * down;
+      integer j = 0;
+      for (; j + 3 <= inner; j += 3) { /* a contact's three values in one pass over the sums */
+        double first = row[j * across], second = row[(j + 1) * across], third = row[(j + 2) * across];
+        const double *p = v + j * columns, *q = p + columns, *s = q + columns;
+        for (integer c = 0; c < columns; c++) to[c] = to[c] + first * p[c] + second * q[c] + third * s[c];
+      }
+      for (; j < inner; j++) add_scaled(to, v + j * columns, columns, row[j * across]);
+    }
+  }
 }

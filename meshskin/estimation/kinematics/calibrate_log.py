@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...contact import BATCHED, ContactModel
 from ...core.arguments import check_type
 from ...core.arrays import Array
 from ...core.errors import CalibrationError, RecordingError, warn_left_out
@@ -33,8 +32,10 @@ from ..calibrate import calibrate
 from ..calibration import Calibration
 from ..data.unit_checks import without_hollows
 from .clock import first_offset
-from .heights import Heights, surface_heights, timed_by_the_fastest
+from .heights import Heights, depths, surface_heights, timed_by_the_fastest
 from .joint_residuals import JointResidual, joint_residuals
+from .plausible import check_on_body
+from .steady import steady
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -222,8 +223,9 @@ def calibrate_log(
         pressed = [] if log.force is None else log.force[contact_frames(log)]
         reference = float(np.median(pressed)) if len(pressed) else NOMINAL_FORCE
     belief = replace(belief, force_reference=reference)
-    frames, clock, heights, x = _started(log, kinematics, path, belief, reference)
-    kinematics, time, force = heights.model, heights.time, _forces(log, frames, reference)
+    log, clock, heights, x = _started(log, kinematics, path, belief, reference)
+    kinematics, time, force = heights.model, heights.time, _forces(log, reference)
+    frames = np.arange(len(log.time))
     as_believed = np.zeros(len(x))
     if clock:
         as_believed[kinematics.columns["clock_offset"]] = -clock
@@ -262,14 +264,16 @@ def _with_clock(found: Calibration, clock: float) -> Calibration:
 
 def _started(
     log: SkinLog, kinematics: ContactKinematics, path: JointPath, belief: Belief, reference: float
-) -> tuple[np.ndarray, float, Heights, Array]:
-    """Frames (m,) of the contacts, the first offset of the clocks, s, their heights on that clock,
-    and x (K + 1,) that meets these. reference: force, N, where the log has none.
+) -> tuple[SkinLog, float, Heights, Array]:
+    """The log of the steady contacts, the first offset of the clocks, s, their heights on that
+    clock, and x (K + 1,) that meets these. reference: force, N, where the log has none.
 
     Delays of the joints, which the heights tell, and the clock displace contacts alike: the offset
     of the clocks is sought again at the delays.
     """
     contacts, clock, timed = contact_frames(log), 0.0, kinematics
+    where = belief.body, belief.indenter.radius
+    check_on_body(kinematics, path, log.time[contacts], *where, named=True)
     s = np.zeros(len(kinematics.labels))
     for _ in range(CLOCK_FITS):
         stamps, readings = log.time[contacts], log.readings[contacts]
@@ -284,16 +288,21 @@ def _started(
                 value=f"joint angles from {path.time[0]:.3f} to {path.time[-1]:.3f} s",
                 remedy="check the joints' streams for gaps (meshskin log), and the clocks",
             )
-        time, force = log.time[frames] - clock, _forces(log, frames, reference)
+        check_on_body(kinematics, path, log.time[frames] - clock, *where, named=False)
+        centres = timed.centres(path, log.time[frames] - clock, s)[0]
+        above = surface_heights(timed, belief.body, centres, s)[0]
+        depth = float(depths(belief, np.zeros((1, 2)), np.array([reference]))[0])
+        used = steady(log, frames, centres, above, depth, belief.indenter.radius)
+        time, force = used.time - clock, _forces(used, reference)
         timed = timed_by_the_fastest(kinematics, path, time, belief.body)
         heights, x = _heights(timed, path, time, belief, force)
         s = x[:-1]
-    return frames, clock, heights, x
+    return used, clock, heights, x
 
 
-def _forces(log: SkinLog, frames: np.ndarray, reference: float) -> Array:
-    """Forces (m,), N, at the frames (m,): those of the log, or the reference."""
-    return np.full(len(frames), reference) if log.force is None else log.force[frames]
+def _forces(log: SkinLog, reference: float) -> Array:
+    """Forces (n,), N, of the frames of a log: its own, or the reference."""
+    return np.full(len(log.time), reference) if log.force is None else log.force
 
 
 def _heights(
@@ -308,24 +317,10 @@ def _heights(
     for _ in range(HEIGHT_FITS):
         centres, _ = kinematics.centres(path, time, x[:-1])
         hit = without_hollows(belief.body.closest(centres), belief.indenter.radius)
-        depth = _depths(belief, hit.curvature, force)
+        depth = depths(belief, hit.curvature, force)
         heights = Heights(kinematics, path, time, belief.body, belief.indenter.radius, depth)
         x = heights.fit(x)
     return heights, x
-
-
-def _depths(belief: Belief, curvature: Array, force: Array) -> Array:
-    """Depths (m,), m, of contacts at curvatures (m, 2), 1/m, under forces (m,), N."""
-    material = belief.material
-    name = belief.contact if belief.contact in BATCHED else "elliptic"
-    model = ContactModel(name, material.poisson, material.thickness)
-    patches = model.patches(
-        force=force,
-        curvature=curvature,
-        indenter_radius=belief.indenter.radius,
-        effective_modulus=material.effective_modulus,
-    )
-    return np.asarray(patches.depth)
 
 
 def _corrected(

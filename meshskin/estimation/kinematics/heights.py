@@ -18,10 +18,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...contact import BATCHED, ContactModel
 from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError
 from ...geometry.body import Body
 from ...robot.contact_kinematics import DELAYS, JOINTS, ContactKinematics, JointPath
+from ...scene.belief import Belief
 
 MAX_ITERATIONS = 25
 """Largest number of damped Gauss-Newton steps. The heights are met within five; along directions
@@ -129,20 +131,22 @@ class Heights:
         pulls = prior.copy()
         if "clock_offset" in self.model.columns:
             pulls[self.model.columns["clock_offset"]] = 0.0  # heights leave the clock as it is
-        (r, jacobian, _), damping = self.residuals(x), 1e-3
+        (r, jacobian, points), damping = self.residuals(x), 1e-3
         for _ in range(MAX_ITERATIONS):
             scatter = _scatter(r)
             weight = _weights(r, scatter)
+            alike = _design_effect(points, weight * r)
+            weight = weight / alike
             hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
             gradient = jacobian.T @ (weight * r) + pulls * x
             if gradient @ np.linalg.solve(hessian, gradient) < CONVERGED**2:
                 break
-            cost = _cost(r, scatter) + float(prior @ x**2) / 2
+            cost = _cost(r, scatter) / alike + float(prior @ x**2) / 2
             for _ in range(MAX_TRIALS):
                 step = -np.linalg.solve(hessian + damping * np.diag(prior), gradient)
                 trial, found = self._corrected(x + step, r + jacobian @ step, weight)
-                if _cost(found[0], scatter) + float(prior @ trial**2) / 2 < cost:
-                    x, (r, jacobian, _), damping = trial, found, damping / 10
+                if _cost(found[0], scatter) / alike + float(prior @ trial**2) / 2 < cost:
+                    x, (r, jacobian, points), damping = trial, found, damping / 10
                     break
                 damping *= 10
             else:
@@ -218,6 +222,20 @@ def timed_by_the_fastest(
     by_joint = np.einsum("mi,mij->mj", body.closest(centres).normal, slopes)
     fastest = int(np.argmax(np.sum((by_joint * path.at(time)[1]) ** 2, axis=0)))
     return replace(model, delayed=names[:fastest] + names[fastest + 1 :])
+
+
+def depths(belief: Belief, curvature: Array, force: Array) -> Array:
+    """Depths (m,), m, of contacts at curvatures (m, 2), 1/m, under forces (m,), N."""
+    material = belief.material
+    name = belief.contact if belief.contact in BATCHED else "elliptic"
+    model = ContactModel(name, material.poisson, material.thickness)
+    patches = model.patches(
+        force=force,
+        curvature=curvature,
+        indenter_radius=belief.indenter.radius,
+        effective_modulus=material.effective_modulus,
+    )
+    return np.asarray(patches.depth)
 
 
 def surface_heights(

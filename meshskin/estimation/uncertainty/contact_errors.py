@@ -59,11 +59,28 @@ def systematic_covariance(
     if jump is not None:
         apart = np.einsum("nia,i->na", tangents, jump)
         tangential += apart[:, :, None] * apart[:, None, :]
+    if data.belief.surface_sigma > 0.0:
+        wider = data.belief.surface_sigma * _growth(data, _middles(data))
+        apart = np.einsum("nia,ni->na", tangents, wider)
+        tangential += apart[:, :, None] * apart[:, None, :]
     tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
     into = surface_motion(shape)
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
     out[:, 2, 2] += _normal_variance(data, hit.distance) + data.belief.surface_sigma**2
     return out
+
+
+def _growth(data: Measurements, points: Array) -> Array:
+    """Displacements (n, 3) of points (n, 3), m, on a body that grows about its middle until its
+    surface has moved by 1 along the normals, in the root mean square over its area.
+
+    Contact points of a body and of an indenter's pose that have the same wrong scale lie on the
+    surface, and a learned response has no length: no reading shows it.
+    """
+    mesh = data.body.mesh
+    middle = mesh.bounds.mean(axis=0)
+    height = np.einsum("fi,fi->f", mesh.triangles_center - middle, mesh.face_normals)
+    return np.asarray((points - middle) / np.sqrt(np.average(height**2, weights=mesh.area_faces)))
 
 
 def local_means(data: Measurements, distance: Array) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core.arrays import Array
+from ...recording.recording import JOINT_ANGLES
 from ...scene.belief import RAW
 from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, MIN_KEPT, SIZES, declared_parameters
@@ -89,6 +90,7 @@ def judge(
         lambda: verdict.forces(recording, calibration),
         lambda: verdict.force_offset(data, calibration),
         lambda: verdict.alike(calibration),
+        lambda: verdict.few_readings(calibration),
         lambda: verdict.profile(calibration),
         lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
@@ -261,7 +263,8 @@ def _normals(recording: Recording, data: Measurements) -> list[Finding]:
     """Recorded normals against those of the believed surface: their angle, and how both turn from
     contact to contact, which on a small patch shows a mirrored axis better."""
     rows = np.flatnonzero((recording.force > 0) & np.isfinite(recording.normals).all(axis=1))
-    if len(rows) < verdict.MIN_CONTACTS:
+    computed = recording.metadata.get("source") == JOINT_ANGLES  # the normals are the surface's
+    if computed or len(rows) < verdict.MIN_CONTACTS:
         return []
     hit, normals = data.body.closest(recording.points[rows]), recording.normals[rows]
     typical = float(np.degrees(np.median(angles(hit, normals))))

@@ -67,6 +67,16 @@ def test_solution(systems):
     np.testing.assert_allclose(found, np.linalg.solve(dense, right), atol=1e-12)
 
 
+def test_what_a_solution_explains(systems):
+    """b^T H^-1 b and b^T H^-1 g without the solution H^-1 b."""
+    parts, dense, gradient, (first, second) = systems
+    right = np.random.default_rng(2).standard_normal((len(dense), 3))
+    split = right[:first].reshape(TAXELS, SIZE, 3), right[first:second].reshape(CONTACTS, 3, 3)
+    square, along = parts.explained(*split, right[second:])
+    np.testing.assert_allclose(square, right.T @ np.linalg.solve(dense, right), rtol=1e-10)
+    np.testing.assert_allclose(along, right.T @ np.linalg.solve(dense, gradient), rtol=1e-9)
+
+
 def test_covariances(systems):
     parts, dense, _, (_, second) = systems
     inverse = np.linalg.inv(dense)

@@ -323,6 +323,13 @@ def test_few_contacts_leave_the_model():
     assert np.sum(square["auto"]) < 1.1**2 * np.sum(square["hertz"])
 
 
+def test_few_readings_of_each_taxel_are_named():
+    found = calibrate(recording(*world(hertz, contacts=60)), belief(contact="learned"))
+    assert np.median(found.readings) < 10
+    assert any("readings per taxel, 10 needed" in words for words in found.verdict.reasons)
+    assert found.verdict.level != "PASS"
+
+
 def test_a_response_is_saved_with_its_calibration(bell_shaped, tmp_path):
     found = bell_shaped[1]
     found.save(tmp_path / "calibration")

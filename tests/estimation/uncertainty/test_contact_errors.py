@@ -106,6 +106,34 @@ def test_exact_contact_points_add_nothing(noisy, log):
     assert more[:, 2, 2] == pytest.approx(4e-8)
 
 
+def test_a_declared_error_of_the_surface_holds_a_body_and_contacts_of_another_size():
+    """1 % too large, both, as a learned response bears: at the end of a long capsule taxels are
+    0.5 mm off along the surface."""
+    scene = ms.Scene.load("capsule")
+    body = ms.Body.capsule(radius=0.04, length=0.15)
+    skin = ms.Skin.cover(body, spacing=6e-3, region=ms.Disc((0.04, 0.0, 0.05), radius=0.02))
+    scene = scene.with_(body=body, skin=skin)
+    log = press(scene)
+    larger = moved(log, 0.01 * log.points)
+    believed = scene.belief(body=ms.Body.capsule(radius=0.0404, length=0.1515), contact="learned")
+    error = skin.positions * 0.01
+    found = {
+        sigma: ms.calibrate(larger, replace(believed, surface_sigma=sigma))
+        for sigma in (0.0, 0.5e-3)
+    }
+    good = np.isfinite(found[0.0].positions[:, 0])
+    assert good.sum() > 20
+    np.testing.assert_allclose(
+        (found[0.0].positions - skin.positions)[good], error[good], atol=0.15e-3
+    )
+    along = {
+        sigma: np.sqrt(np.einsum("nii->n", one.covariances[good][:, :2, :2])).mean()
+        for sigma, one in found.items()
+    }
+    assert along[0.0] < 0.1e-3
+    assert along[0.5e-3] == pytest.approx(np.abs(error[good, 2]).mean(), rel=0.3)
+
+
 def test_waves_of_the_surface_are_in_the_normal_variance(noisy, log):
     """Contacts and taxels are on a surface with waves, 50 mm long, about the believed sphere."""
 
