@@ -29,6 +29,8 @@ fall with pressure; sound ones have 1.9 to 18, reversed ones the inverse."""
 EXTREMES = 5
 """Smallest and largest readings, at most, of a taxel that are compared, and a third of all: fewer
 than press it where it is read at rest, too."""
+FIRST, SECOND = np.triu_indices(EXTREMES, 1)
+"""Pairs of these."""
 CHANCE = 0.05
 """Probability by chance, below which so many taxels' spreads have a ratio below 1 that readings
 fall: 5 of 5 taxels."""
@@ -218,8 +220,9 @@ def falls_with_pressure(
     """Whether the readings `values` (k,) of taxels (k,) in contacts (k,) at `points` (m, 3), m,
     fall where a taxel is pressed: the contacts that press it lie together.
 
-    Compared are the contacts of a taxel's EXTREMES smallest and largest readings, by medians: some
-    of these may be outlying. Median of the taxels; a few do not show it.
+    Compared are the contacts of a taxel's EXTREMES smallest and largest readings, by the median of
+    their distances: one in five may be outlying, and those at both ends of a lane are far apart.
+    Median of the taxels; a few do not show it.
     """
     from scipy.special import bdtrc
 
@@ -241,8 +244,8 @@ def falls_with_pressure(
     for rows in (end - count[compared, None] + rank, end - 1 - rank):
         at = points[contact[order[np.where(used, rows, end - 1)]]]
         at = np.where(used[:, :, None], at, np.nan)
-        off = np.linalg.norm(at - np.nanmedian(at, axis=1, keepdims=True), axis=2)
-        spreads.append(np.nanmedian(off, axis=1))
+        apart = np.linalg.norm(at[:, FIRST] - at[:, SECOND], axis=2)
+        spreads.append(np.nanmedian(apart, axis=1))
     ratio = spreads[0] / np.maximum(spreads[1], 1e-12)
     chance = bdtrc(int(np.sum(ratio < 1)) - 1, len(ratio), 0.5)
     return bool(np.median(ratio) < NARROWER and chance < CHANCE)
