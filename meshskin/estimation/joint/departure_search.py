@@ -133,7 +133,7 @@ def _likelier_with_wider_forces(
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             wider.converge()
             return min(effects, wider, key=_objective)
-    except (SingularMatrixError, IndexError):
+    except SingularMatrixError:
         return effects
 
 
