@@ -226,7 +226,8 @@ def falls_with_pressure(
     """
     from scipy.special import bdtrc
 
-    few = taxel % max(int(taxel.max(initial=0)) // MAX_COMPARED, 1) == 0
+    order = np.random.default_rng(0).permutation(int(taxel.max(initial=-1)) + 1)
+    few = (order < MAX_COMPARED)[taxel]
     values, contact, taxel = values[few], contact[few], taxel[few]
     values = _without_outlying(values, points[contact], taxel)
     n = int(taxel.max(initial=-1)) + 1
@@ -253,7 +254,7 @@ def falls_with_pressure(
 
 def _without_outlying(values: Array, points: Array, taxel: np.ndarray) -> Array:
     """Readings (k,) of taxels (k,) in contacts at `points` (k, 3), m: medians of each one and those
-    of the same taxel in the two nearest contacts, where these are near."""
+    of the same taxel in the two nearest contacts, where it has many."""
     from scipy.spatial import cKDTree
 
     many = np.bincount(taxel)[taxel] >= MIN_SMOOTHED

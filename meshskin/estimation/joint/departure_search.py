@@ -92,10 +92,10 @@ def _with_departure(
             converged = extended.converge()
             if converged and name == "crosstalk":
                 extended, converged = _within_modules(extended)
+            if converged is not None and _objective(extended) < _objective(effects) + MAX_LOSS:
+                break
         except SingularMatrixError:
-            continue
-        if _objective(extended) < _objective(effects) + MAX_LOSS:
-            break
+            converged = None
     return extended, first, converged
 
 

@@ -128,11 +128,18 @@ def learned_result(
         fit=fit,
         departures=departures,
         response=response,
-        contact_errors=u.errors,
+        contact_errors=_errors(effects),
         additions=_additions(effects, live),
         iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
         seconds={"joint": time.perf_counter() - clock},
     )
+
+
+def _errors(effects: RandomEffects) -> Array:
+    """Errors (m, 3) of the contacts; NaN of those that were left out."""
+    errors = effects.unknowns.errors.copy()
+    errors[effects.data.misfitting] = np.nan
+    return errors
 
 
 def _larger(first: Array, second: Array) -> Array:
