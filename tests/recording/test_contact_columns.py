@@ -74,3 +74,15 @@ def test_forces_of_the_wrong_sign_are_named(tmp_path):
     frames = ms.log_frames(log, log_map)
     with pytest.raises(RecordingError, match="all contact forces of the log are negative, got -4"):
         recording_from_log(log, log_map, frames)
+
+
+@pytest.mark.parametrize("points", ["", "px py pz force"])
+def test_a_column_that_is_named_contacts_is_no_group_of_them(tmp_path, points):
+    names = ["time", "q_1", "q_2", *points.split(), "contacts", *(f"taxel_{k}" for k in range(5))]
+    rows = [",".join(names), *(",".join([str(k), *"1" * (len(names) - 1)]) for k in range(4))]
+    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
+    _, could = read_and_suggest(tmp_path / "log.csv")
+    log_map = ms.LogMap(tuple(found[0] for found in could.values() if found))
+    kinds = {one.kind: one.length for one in log_map.streams}
+    assert kinds == {"joints": None, "taxels": 5} | ({"contacts": 4} if points else {})
+    assert len(ms.read_log(tmp_path / "log.csv", log_map).streams) == len(kinds)
