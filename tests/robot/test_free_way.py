@@ -66,8 +66,10 @@ def test_the_outside_of_a_hollow_body_is_free():
 def test_a_plan_leaves_out_what_is_enclosed():
     body = shell(1.0)
     skin = ms.Skin.cover(body, spacing=5e-3, count=20, seed=1)
-    with pytest.raises(ReachError, match="nothing of the skin can be explored: enclosed"):
+    with pytest.raises(ReachError, match="nothing of the skin can be explored: enclosed") as caught:
         ms.explore(body, skin, mode="quasi_static")
+    assert "change the indenter" in str(caught.value)
+    assert "position_m" not in str(caught.value)  # there is no arm
 
 
 def test_a_plan_within_an_open_shell_is_followed():

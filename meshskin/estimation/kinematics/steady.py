@@ -52,7 +52,7 @@ def steady(
         kept = ~_shallow(at, mean, touch, BESIDE * radius, SHALLOW * depth)
     else:
         kept = np.ones(len(first), dtype=bool)
-    kept &= np.cumsum(kept) % (1 + kept.sum() // MAX_CONTACTS) == 0
+    kept &= np.cumsum(kept) % -(-kept.sum() // MAX_CONTACTS) == 0
     return _means(log, frames, group, np.flatnonzero(kept))
 
 
