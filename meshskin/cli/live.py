@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.arguments import check_real
-from ..core.errors import CalibrationError
+from ..core.errors import MeshskinError
 from . import belief_options, log_options
 from .calibrate import recorded
 from .log_options import FromLog, from_log
@@ -89,7 +89,7 @@ def command(options: argparse.Namespace) -> int:
         over = "the replay is over; nothing was written"
         try:
             view.conclude(found or _calibrated(given))
-        except CalibrationError as error:
+        except MeshskinError as error:
             print(f"live page: no calibration of all contacts: {error}", flush=True)
             over = f"no calibration of all contacts: {error}; {over}"
         view.finish(over)

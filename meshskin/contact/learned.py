@@ -55,7 +55,7 @@ class ProfileCorrection:
         correction (k,) at the coefficients `whitened` (PROFILE_SIZE,), and its slope (k,) in u."""
         step = self.extent / (PROFILE_SIZE + 1)
         t = np.minimum(u / step, PROFILE_SIZE + 1.0)
-        below = t.astype(int)
+        below = np.nan_to_num(t).astype(int)  # a step too long has no distances, and infinite cost
         rows, part = np.arange(len(u)), t - below
         splines, coefficients = _coefficients(), _coefficients() @ whitened
         value, slope = np.zeros((len(u), len(splines))), np.zeros(len(u))

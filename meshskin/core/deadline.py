@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter, process_time
@@ -26,15 +25,8 @@ STARTED = 0.17
 
 
 def command_began() -> tuple[float, float]:
-    """Wall and processor time, s, at which this command began: with its process, where that did
-    nothing else before and the system (Linux) says when it was started."""
-    wall, processor = perf_counter(), process_time()
-    if processor > 3 * STARTED or not hasattr(time, "CLOCK_BOOTTIME"):
-        return wall - STARTED, processor - STARTED
-    status = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
-    ticks = int(status[19])  # its entry 22: proc_pid_stat(5)
-    age = time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
-    return wall - max(age, processor), 0.0
+    """Wall and processor time, s, at which a command began that begins its work now."""
+    return perf_counter() - STARTED, process_time() - STARTED
 
 
 def crowding(began: tuple[float, float]) -> float:
@@ -45,9 +37,9 @@ def crowding(began: tuple[float, float]) -> float:
     """
     try:
         now = int(Path("/proc/loadavg").read_text().split()[3].partition("/")[0])
+        wanting = min(now, os.getloadavg()[0]) / (os.cpu_count() or 1)
     except (OSError, IndexError, ValueError):
         return 1.0
-    wanting = min(now, os.getloadavg()[0]) / (os.cpu_count() or 1)
     return max(min(Deadline(began=began).slowdown, wanting), 1.0)
 
 

@@ -126,9 +126,10 @@ class LearnedResponse(Value):
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> LearnedResponse:
-        """What `values` gave."""
+        """What `values` gave; names of other versions are left out."""
+        known = cls.__dataclass_fields__.keys() & values.keys()
         arrays: dict[str, Any] = {
-            k: np.array(v) if isinstance(v, list) else v for k, v in values.items()
+            k: np.array(values[k]) if isinstance(values[k], list) else values[k] for k in known
         }
         for name in arrays.keys() & {"levels", "hysteresis", "creep", "references", "alike_parts"}:
             arrays[name] = tuple(map(float, arrays[name]))

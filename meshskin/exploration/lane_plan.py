@@ -86,15 +86,19 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
 
 
 def _remedy(why: str, other: str, wide: str) -> str:
-    """What to change where nothing can be explored because of `why`: another contact, `other`, or
-    the lanes, which `why` says where they are too `wide`; the arm's place where that is why."""
+    """What to change where nothing can be explored because of `why`.
+
+    The place of the indenter or the body where the arm is the reason; elsewhere the recommended
+    contact, `other`, if there is one. Reasons that end in `wide` name a remedy themselves.
+    """
     arms = OUT_OF_REACH, LIMIT, collision.ARM_SUPPORT, collision.ARM_BODY
-    if (other or wide) and not why.startswith(arms):
-        return other
-    return (
-        "move indenter.position_m, change the mount, or let the indenter be carried to the body "
-        "(indenter.carried_by)"
-    )
+    if why.startswith(arms):
+        return (
+            "move indenter.position_m, change the mount, or let the indenter be carried to the "
+            "body (indenter.carried_by)"
+        )
+    named = wide and why.endswith(wide)
+    return other or ("" if named else "change the indenter, or the part of the body with the skin")
 
 
 def _feasible(rig: ContactRig, lanes: list[Closest]) -> tuple[list[Closest], list[Blocked]]:

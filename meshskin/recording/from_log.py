@@ -14,13 +14,10 @@ from .log_map import BODY, CONTACT, LogMap, StreamMap
 from .readers.yarp import SKIN_CONTACTS
 from .recording import CONTACTS as CONTACT_SCHEMA
 from .recording import FROM_TAXELS, QUATERNION, Recording
-from .resample import LogFrames, Pairs, paired
+from .resample import REST_SIGMAS, LogFrames, Pairs, paired
+from .skin_log import SkinLog
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
 from .tare import thresholds
-
-REST_SIGMAS = 3.0
-"""Force in standard deviations of its noise at rest, below which a frame counts as without
-contact."""
 
 
 def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recording:
@@ -40,19 +37,14 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
             "the log has no contact forces",
             remedy="add a stream of wrenches, or contacts with force",
         )
-    rest = force[~given.in_contact & (given.force is not None)]  # contacts are never at rest
+    # the rows of contacts have no noise at rest: the indenter may touch where no taxel answers
+    rest = force[~given.in_contact] if given.force is not None else force[:0]
     least = (
         REST_SIGMAS * float(np.sqrt(np.mean(rest[np.isfinite(rest)] ** 2))) if len(rest) else 0.0
     )
     used = given.in_contact & np.isfinite(points).all(axis=1) & (force > max(least, 0.0))
     if not used.any():
-        raise RecordingError(
-            "no frame of the log has contact, contact point and force at once",
-            value=f"{given.in_contact.sum()} frames in contact, "
-            f"{np.isfinite(points).all(axis=1).sum()} with a contact point, "
-            f"{(force > least).sum()} with a force above {least:.3g} N",
-            remedy="check the clocks and the streams of the map",
-        )
+        raise _nothing_used(given, points, force, least)
     columns = [given.time, *points.T, *normals.T, force]
     table = {name: values[used] for name, values in zip(CONTACT_SCHEMA.names, columns, strict=True)}
     if rotation is not None:
@@ -67,6 +59,24 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
     if any(s.kind == CONTACTS and s.type == SKIN_CONTACTS for s, _ in pairs):
         metadata["contact_points"] = FROM_TAXELS
     return Recording(pa.table(table), readings, metadata | ({"readings": "raw"} if raw else {}))
+
+
+def _nothing_used(given: SkinLog, points: Array, force: Array, least: float) -> RecordingError:
+    """Why no frame has contact, a point (n, 3) and a force (n,) above `least`, N, at once."""
+    strong = force[given.in_contact & (np.abs(force) > least)]
+    if len(strong) and strong.max() < 0:
+        return RecordingError(
+            "all contact forces of the log are negative",
+            value=f"{strong.min():.3g} to {strong.max():.3g} N",
+            remedy="turn the sign: of the wrench's axis in the map, or of the column of forces",
+        )
+    return RecordingError(
+        "no frame of the log has contact, contact point and force at once",
+        value=f"{given.in_contact.sum()} frames in contact, "
+        f"{np.isfinite(points).all(axis=1).sum()} with a contact point, "
+        f"{(force > least).sum()} with a force above {least:.3g} N",
+        remedy="check the clocks and the streams of the map",
+    )
 
 
 def _readings(frames: LogFrames, log_map: LogMap, used: NDArray[np.bool_]) -> tuple[pa.Table, bool]:

@@ -14,7 +14,10 @@ from .clock_offset import ClockOffset, clock_offset
 from .log_map import LogMap, StreamMap
 from .skin_log import SkinLog
 from .stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, overlap
-from .tare import BLOCK, COLUMNS, MIN_REST, Tared, tare
+from .tare import BLOCK, COLUMNS, MAD, MIN_REST, Tared, tare
+
+REST_SIGMAS = 3.0
+"""Force in standard deviations of its noise at rest, up to which it counts as zero."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +73,15 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
         tared[s.name].in_contact[_nearest(_skin_times(s, m, offset), frames)] for s, m in skins
     ]
     in_contact = np.any(pressed, axis=0)
+    force = _force(frames, in_contact, pairs)
+    for stream, given in pairs if force is None else ():
+        if given.kind == CONTACTS and "force" in stream.fields:
+            notes += _force_at_rest(frames, in_contact, stream, given)
     names, angles = _joints(frames, pairs)
     noise = np.concatenate([tared[s.name].noise * m.factor for s, m in skins])
     skin_log = SkinLog(
-        frames, names, angles, ids, readings, noise, in_contact,
-        _force(frames, in_contact, pairs), offset if offsets else skins[0][1].delay or 0.0,
+        frames, names, angles, ids, readings, noise, in_contact, force,
+        offset if offsets else skins[0][1].delay or 0.0,
         offsets[0].sigma if offsets and offsets[0].usable else None,
     )  # fmt: skip
     return LogFrames(skin_log, tared, offsets, tuple(notes))
@@ -256,6 +263,26 @@ def _force(frames: Array, in_contact: NDArray[np.bool_], pairs: Pairs) -> Array 
         return np.asarray(np.linalg.norm(force, axis=1))
     axis = np.array(given.axis) / np.linalg.norm(given.axis)
     return np.asarray(force @ axis)
+
+
+def _force_at_rest(
+    frames: Array, in_contact: NDArray[np.bool_], stream: Stream, given: StreamMap
+) -> list[str]:
+    """The note on contacts whose force is not zero where no taxel answers, if it is not."""
+    times = stream.times - (given.delay or 0.0)
+    row = _nearest(frames, times)
+    within = (times >= frames[0]) & (times <= frames[-1])
+    force = stream.values[within & ~in_contact[row], stream.fields.index("force")]
+    force = force[np.isfinite(force)]
+    if len(force) < max(MIN_REST * len(stream), 1):
+        return []
+    level = float(np.median(force))
+    if abs(level) <= REST_SIGMAS * MAD * float(np.median(np.abs(force - level))):
+        return []
+    return [
+        f"the force of {stream.name} is {level:.3g} N in the median of {len(force)} rows in which "
+        "no taxel answers; if nothing was touched in them, subtract this level at rest"
+    ]
 
 
 def _rest_level(frames: Array, values: Array, in_contact: NDArray[np.bool_], name: str) -> Array:

@@ -64,7 +64,7 @@ sqrt(1 + 1/4) of it between them."""
 HOLLOW = "concave: the indenter does not fit"
 EDGE = "edge: the contact patch would run over it"
 SUPPORT = "collision: the indenter's support meets the body"
-ENCLOSED = "enclosed: no straight way leads the indenter there from outside"
+ENCLOSED = "enclosed: no straight way of the indenter to it from outside was found"
 ARM_SUPPORT = "collision: the arm meets the indenter's support"
 ARM_BODY = "collision: the arm meets the body"
 

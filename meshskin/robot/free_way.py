@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..geometry.body import Body
 
-WAYS = 64
-"""Directions that are tried: neighbours are about 25 degrees apart, as wide as an opening seen from
-two of its diameters away."""
+WAYS = 256
+"""Directions that are tried, on a spiral over the sphere: none is further than 10 degrees from one
+of them, as far as the rim of an opening from its middle, seen from three of its diameters."""
 SLACK = 0.05
 """Part of the indenter's radius by which it may overlap the body on its way, as it starts in
 contact; and its least step, relative to its radius."""
@@ -27,16 +27,26 @@ def enclosed(body: Body, points: Array, normals: Array, radius: float) -> NDArra
     centres = points + radius * normals
     ahead = free_lengths(body, centres, normals, radius)
     held = np.flatnonzero(np.isfinite(ahead))
-    ways = np.random.default_rng(0).normal(size=(WAYS, 3))
-    ways /= np.linalg.norm(ways, axis=1)[:, None]
     for part in (0.5, 0.0):
-        for way in ways:
+        for way in directions(WAYS):
             start = centres[held] + part * ahead[held, None] * normals[held]
             length = free_lengths(body, start, np.tile(way, (len(held), 1)), radius)
             held = held[~np.isinf(length)]
     out = np.zeros(len(points), dtype=bool)
     out[held] = True
     return out
+
+
+def directions(count: int) -> Array:
+    """Unit vectors (count, 3), evenly over the sphere: the Fibonacci lattice.
+
+    Source: Gonzalez, "Measurement of areas on a sphere using Fibonacci and latitude-longitude
+    lattices", Mathematical Geosciences 42 (2010).
+    """
+    z = 1 - (2 * np.arange(count) + 1) / count
+    angle = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    across = np.sqrt(1 - z**2)
+    return np.column_stack([across * np.cos(angle), across * np.sin(angle), z])
 
 
 def free_lengths(body: Body, start: Array, ways: Array, radius: float) -> Array:

@@ -63,12 +63,14 @@ def describe_departure(recording: Recording) -> str:
     worst = int(np.argmax(np.where(left, off, 0.0)))
     lost = " (contact lost)" if force[worst] <= 0 else ""
     share = 100 * left.sum() / after.sum()
-    nearest = recording.points[np.argmin(np.abs(recording.time - time[worst]))]
-    place = ", ".join(f"{1e3 * x:.1f}" for x in nearest)
+    place = ""
+    if len(recording.time):
+        nearest = recording.points[np.argmin(np.abs(recording.time - time[worst]))]
+        place = f", near ({', '.join(f'{1e3 * x:.1f}' for x in nearest)}) mm of the body"
     return (
         f"the contact force left its reference after settling: {force[worst]:.3g} N{lost} instead "
-        f"of {references[worst]:g} N at {time[worst]:.4g} s, near ({place}) mm of the body, off by "
-        f"more than {MAX_DEPARTURE:.0%} in {share:.2g} % of the steps; lower exploration.speed, "
+        f"of {references[worst]:g} N at {time[worst]:.4g} s{place}, off by more than "
+        f"{MAX_DEPARTURE:.0%} in {share:.2g} % of the steps; lower exploration.speed, "
         "raise law.gamma, or leave that bump or edge of the body out of the skin's region"
     )
 

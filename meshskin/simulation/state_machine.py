@@ -84,9 +84,10 @@ class ExplorationStateMachine:
         """The steps as they are made.
 
         Where contact cannot be made or kept, or runs over an edge, a part of the place is given
-        up; all of it where the body cannot come to it through the air. Raises PlaceError where no
-        place can be explored; where there is one only, also if most of it cannot, or for another
-        reason than an edge, or with an arm.
+        up; all of it where the body cannot come to it through the air. Where no place can be
+        explored, raises the error of the last one: PlaceError, or ReachError of an arm on its way
+        there. Where there is one place only, raises PlaceError also if most of it cannot be
+        explored, or for another reason than an edge, or with an arm.
         """
         simulator = self.simulator
         failed: PlaceError | ReachError | None = None

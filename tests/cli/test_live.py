@@ -7,6 +7,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.cli import live, main
+from meshskin.core.errors import ContactError
 from meshskin.report.live.page import LivePage
 from meshskin.report.live.panel import Panel
 
@@ -130,3 +131,15 @@ def test_the_page_ends_with_the_calibration_of_all_contacts(
     assert live_of(str(tmp_path / "log"), "--no-browser") == 0
     assert words in capsys.readouterr().out
     assert len(shown) == (count == 9)
+
+
+def test_any_error_of_the_last_calibration_is_shown_on_the_page(log, viewer, monkeypatch, capsys):
+    def refuse(given):
+        raise ContactError("the patch is too wide")
+
+    said = []
+    monkeypatch.setattr(live, "_calibrated", refuse)
+    monkeypatch.setattr(Panel, "finish", lambda self, words: said.append(words))
+    assert live_of(log, "--no-browser") == 0
+    assert said[-1].startswith("no calibration of all contacts: the patch is too wide; the replay")
+    assert "close it to end" in capsys.readouterr().out

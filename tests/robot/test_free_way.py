@@ -7,7 +7,7 @@ import trimesh
 import meshskin as ms
 from meshskin.core.errors import ReachError
 from meshskin.robot import collision
-from meshskin.robot.free_way import enclosed, free_lengths
+from meshskin.robot.free_way import WAYS, directions, enclosed, free_lengths
 
 
 def shell(opening):
@@ -34,6 +34,28 @@ def test_an_indenter_leaves_a_shell_through_its_opening_alone(opening, held):
     assert enclosed(body, at, -at / 0.15, 0.01).sum() == held
 
 
+def test_directions_leave_no_wide_gap():
+    anywhere = np.random.default_rng(0).normal(size=(4000, 3))
+    anywhere /= np.linalg.norm(anywhere, axis=1)[:, None]
+    nearest = np.arccos(np.clip(anywhere @ directions(WAYS).T, -1, 1)).min(axis=1)
+    assert np.degrees(nearest.max()) < 10.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_deep_cup_is_open_however_it_is_turned(seed):
+    """0.6 m deep, 0.3 m wide: its opening is 14 degrees wide, seen from the middle of its end."""
+    cup = trimesh.creation.cylinder(0.15, 0.6, sections=48).subdivide_to_size(0.06)
+    faces = cup.faces[cup.triangles_center[:, 2] < 0.299][:, ::-1]
+    turn = trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3))
+    mesh = trimesh.Trimesh(trimesh.transform_points(cup.vertices, turn), faces)
+    body = ms.Body.from_mesh(mesh, open=True)
+    at = np.array([[0.15, 0, 0], [0, 0.15, -0.2], [-0.1, -0.1118, -0.1], [0, 0, -0.3]])
+    inward = np.array([[-1.0, 0, 0], [0, -1, 0], [0.667, 0.745, 0], [0, 0, 1]])
+    inward /= np.linalg.norm(inward, axis=1)[:, None]
+    at, inward = at @ turn[:3, :3].T, inward @ turn[:3, :3].T
+    assert not enclosed(body, at, inward, 0.01).any()
+
+
 def test_the_outside_of_a_hollow_body_is_free():
     body = ms.Body.torus(0.06, 0.02)
     points = ms.Skin.cover(body, spacing=0.01, seed=1).positions
@@ -44,8 +66,10 @@ def test_the_outside_of_a_hollow_body_is_free():
 def test_a_plan_leaves_out_what_is_enclosed():
     body = shell(1.0)
     skin = ms.Skin.cover(body, spacing=5e-3, count=20, seed=1)
-    with pytest.raises(ReachError, match="nothing of the skin can be explored: enclosed"):
+    with pytest.raises(ReachError, match="nothing of the skin can be explored: enclosed") as caught:
         ms.explore(body, skin, mode="quasi_static")
+    assert "change the indenter" in str(caught.value)
+    assert "position_m" not in str(caught.value)  # there is no arm
 
 
 def test_a_plan_within_an_open_shell_is_followed():

@@ -63,11 +63,15 @@ def test_a_force_that_leaves_its_reference_after_settling_is_described(low_or_hi
     assert describe_departure(sliding(force, phase)) == ""
     force[30] = 3.0 + 0.9 * (low_or_high - 3.0)
     force[31] = low_or_high
-    words = describe_departure(sliding(force, phase))
+    recording = sliding(force, phase)
+    words = describe_departure(recording)
     assert f"{low_or_high:g} N instead of 3 N at 0.031 s" in words
     assert "near (30.0, 0.0, 0.0) mm of the body" in words
     assert "in 10 % of the steps" in words
     assert "exploration.speed" in words
+    empty = recording.contacts.slice(0, 0), recording.readings.slice(0, 0)
+    without = describe_departure(ms.Recording(*empty, {}, recording.motion))
+    assert without == words.replace(", near (30.0, 0.0, 0.0) mm of the body", "")
     force[32] = 0.0
     assert "0 N (contact lost) instead of 3 N at 0.032 s" in describe_departure(
         sliding(force, phase)

@@ -354,3 +354,25 @@ def test_no_thread_and_no_process_is_left(out):
         children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
         commands = [Path(f"/proc/{pid}/cmdline").read_text() for pid in children]
         assert not [c for c in commands if "spawn_main" in c]
+
+
+def test_a_task_that_is_lost_with_its_worker_is_given_out_again(out, monkeypatch):
+    """As by a worker that dies between taking a task and saying so: its future never ends."""
+    from concurrent.futures import Future
+
+    from meshskin.study.sweep import worker_pool
+
+    schedule, lost = worker_pool.pebble.ProcessPool.schedule, []
+
+    def losing(self, function, **options):
+        if not lost:
+            lost.append(Future())
+            return lost[0]
+        return schedule(self, function, **options)
+
+    monkeypatch.setattr(worker_pool.pebble.ProcessPool, "schedule", losing)
+    monkeypatch.setattr(worker_pool, "MAX_IDLE", 4.0)
+    study = ms.Study("s", grid={"run.trouble": [""]}, seeds=3, run=study_runs.troubled)
+    found = rows(study.sweep(out, workers=2))
+    assert lost
+    assert [found[seed]["status"] for seed in range(3)] == ["done"] * 3

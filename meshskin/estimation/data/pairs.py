@@ -20,6 +20,10 @@ SILENT_SIGMAS = 4.0
 """An expected pressure further below the threshold than this, in standard deviations, makes silence
 certain: the omitted cost -log Phi(4) is 3e-5, and the omitted information below 1e-3 of a
 reading's."""
+SILENT_FACING = 0.65
+"""Least cosine of the angle between the normals of a contact and of a taxel whose silence informs.
+At 60 degrees a taxel is no longer pressed (`same_sheet`): errors of the normals by up to ten decide
+there whether it answers, and a wrong silence costs as much as an outlying reading."""
 MAX_SLANT = 1.25
 """Bound on the distance in space relative to the distance across the normal, for a taxel near a
 contact: holds up to 37 degrees out of the contact's tangent plane (arccos(1 / 1.25))."""
@@ -81,5 +85,7 @@ def silent_pairs(
     if len(read):
         silent = read[np.minimum(np.searchsorted(read, number), len(read) - 1)] != number
         silent &= ~np.isin(contact, np.union1d(data.misfitting, data.unread))
+        facing = np.einsum("ki,ki->k", data.normals[contact], normals[taxel])
+        silent &= facing > SILENT_FACING
         contact, taxel = contact[silent], taxel[silent]
     return contact, taxel

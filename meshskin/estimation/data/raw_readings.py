@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...contact import ContactModel
-from ...core.arrays import Array
+from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError
 from .sensor_range import constant_taxels
 
@@ -24,11 +24,12 @@ if TYPE_CHECKING:
 DENSE = 0.5
 """Fraction of the contacts from which a taxel that reads in them is read at rest, too."""
 NARROWER = 0.8
-"""Ratio of the spreads of the contacts in which a taxel reads least and most, below which readings
+"""Ratio of the spreads of the contacts in which a taxel reads little and much, below which readings
 fall with pressure; sound ones have 1.9 to 18, reversed ones the inverse."""
-EXTREMES = 5
-"""Smallest and largest readings, at most, of a taxel that are compared, and a third of all: fewer
-than press it where it is read at rest, too."""
+MIN_SMOOTHED = 20
+"""Readings of a taxel, at least, of which those at neighbouring contacts are alike."""
+MAX_COMPARED = 64
+"""Taxels, about, whose spreads are compared."""
 CHANCE = 0.05
 """Probability by chance, below which so many taxels' spreads have a ratio below 1 that readings
 fall: 5 of 5 taxels."""
@@ -218,11 +219,17 @@ def falls_with_pressure(
     """Whether the readings `values` (k,) of taxels (k,) in contacts (k,) at `points` (m, 3), m,
     fall where a taxel is pressed: the contacts that press it lie together.
 
-    Compared are the contacts of a taxel's EXTREMES smallest and largest readings, by medians: some
-    of these may be outlying. Median of the taxels; a few do not show it.
+    Contacts are weighted by the fourth power of what a reading is above a taxel's least, and below
+    its largest one: noise at rest then counts for little. Outlying readings, which would have the
+    largest weights, are replaced by those at the nearest contacts. Median of the taxels; a few do
+    not show it.
     """
     from scipy.special import bdtrc
 
+    order = np.random.default_rng(0).permutation(int(taxel.max(initial=-1)) + 1)
+    few = (order < MAX_COMPARED)[taxel]
+    values, contact, taxel = values[few], contact[few], taxel[few]
+    values = _without_outlying(values, points[contact], taxel)
     n = int(taxel.max(initial=-1)) + 1
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     np.minimum.at(low, taxel, values)
@@ -230,22 +237,33 @@ def falls_with_pressure(
     count = np.bincount(taxel, minlength=n)
     saturated = np.bincount(taxel, values == high[taxel], n) > count / 2
     saturated &= count <= DENSE * len(points)  # else the largest value is that at rest
-    compared = np.flatnonzero((count >= MIN_COMPARED) & (high > low) & ~saturated)
-    if not len(compared):
+    compared = (count >= MIN_COMPARED) & (high > low) & ~saturated
+    if not compared.any():
         return False
-    # equal readings in no order of time: consecutive contacts lie together, too
-    order = np.lexsort((np.random.default_rng(0).permutation(len(values)), values, taxel))
-    rank, end = np.arange(EXTREMES), np.cumsum(count)[compared, None]
-    used = rank < np.maximum(count[compared, None] // 3, 2)
+    above = (values - low[taxel]) / np.where(compared, high - low, 1.0)[taxel]
     spreads = []
-    for rows in (end - count[compared, None] + rank, end - 1 - rank):
-        at = points[contact[order[np.where(used, rows, end - 1)]]]
-        at = np.where(used[:, :, None], at, np.nan)
-        off = np.linalg.norm(at - np.nanmedian(at, axis=1, keepdims=True), axis=2)
-        spreads.append(np.nanmedian(off, axis=1))
+    for weight in ((1 - above) ** 4, above**4):
+        total = np.maximum(np.bincount(taxel, weight, n), 1e-300)
+        centre = sums_by_group(weight[:, None] * points[contact], taxel, n) / total[:, None]
+        square = weight * np.sum((points[contact] - centre[taxel]) ** 2, axis=1)
+        spreads.append(np.sqrt(np.bincount(taxel, square, n) / total)[compared])
     ratio = spreads[0] / np.maximum(spreads[1], 1e-12)
     chance = bdtrc(int(np.sum(ratio < 1)) - 1, len(ratio), 0.5)
     return bool(np.median(ratio) < NARROWER and chance < CHANCE)
+
+
+def _without_outlying(values: Array, points: Array, taxel: np.ndarray) -> Array:
+    """Readings (k,) of taxels (k,) in contacts at `points` (k, 3), m: medians of each one and those
+    of the same taxel in the two nearest contacts, where it has many."""
+    from scipy.spatial import cKDTree
+
+    many = np.bincount(taxel)[taxel] >= MIN_SMOOTHED
+    if not many.any():
+        return values
+    apart = 10 * float(np.ptp(points, axis=0).max()) + 1.0
+    where = np.column_stack([points, apart * taxel])
+    near = cKDTree(where).query(where, k=3)[1]
+    return np.where(many, np.median(values[near], axis=1), values)
 
 
 def quantum(values: Array) -> float:

@@ -83,7 +83,8 @@ def neighbour_correlation(effects: RandomEffects) -> float:
         return 0.0
     errors, points = effects.unknowns.errors[used, :2], effects.data.points[used]
     moved = np.einsum("mac,ma->mc", _tangents(effects)[used], errors)
-    nearest = cKDTree(points).query(points, k=2)[1][:, 1]
+    first, second = cKDTree(points).query(points, k=2)[1].T
+    nearest = np.where(first == np.arange(len(points)), second, first)  # contacts may coincide
     power = float(np.sum(moved**2))
     return float(np.sum(moved * moved[nearest])) / power if power > 0 else 0.0
 
@@ -91,6 +92,8 @@ def neighbour_correlation(effects: RandomEffects) -> float:
 def alike_errors(effects: RandomEffects) -> AlikeErrors:
     """What fields of errors, correlated over `LENGTH`, add to the taxels' variances."""
     if int(effects.probes.touched.sum()) < MIN_CONTACTS:
+        return AlikeErrors()
+    if not effects.clear().any():
         return AlikeErrors()
     correlograms = _Correlograms(effects)
     seen = correlograms.of(effects.unknowns.errors[..., None], effects.residuals()[:, None])[:, 0]

@@ -92,10 +92,10 @@ def _with_departure(
             converged = extended.converge()
             if converged and name == "crosstalk":
                 extended, converged = _within_modules(extended)
+            if converged is not None and _objective(extended) < _objective(effects) + MAX_LOSS:
+                break
         except SingularMatrixError:
-            continue
-        if _objective(extended) < _objective(effects) + MAX_LOSS:
-            break
+            converged = None
     return extended, first, converged
 
 
@@ -133,7 +133,7 @@ def _likelier_with_wider_forces(
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             wider.converge()
             return min(effects, wider, key=_objective)
-    except (SingularMatrixError, IndexError):
+    except SingularMatrixError:
         return effects
 
 

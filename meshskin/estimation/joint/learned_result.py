@@ -37,6 +37,7 @@ from .residual_correlations import shared_errors
 from .rival_optima import RivalOptima
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
+SHARED_ERRORS = "errors that readings of contacts near one another {} share"
 FALLING = "the recorded readings fall with pressure: they were turned"
 NOT_SEPARABLE = 0.9
 """Standard deviation, relative to that of its prior, from which a parameter rests on its prior."""
@@ -77,11 +78,10 @@ def learned_result(
     apart = np.nan_to_num(rivals.points - points)
     apart = np.einsum("kij,ki->kj", rotations[:, :, :2], apart)
     fitted = effects.fitted()
-    shared_by_contacts = shared_errors(fitted)
-    tangential = _larger(
-        scale * covariance[:, :2, :2],
-        misfit * covariance[:, :2, :2] + shared_by_contacts.covariances(fitted),
-    )
+    errors, own = shared_errors(fitted), misfit * covariance[:, :2, :2]
+    added = errors.covariances(fitted)
+    departures = errors.beyond(added, own)
+    tangential = _larger(scale * covariance[:, :2, :2], own + added)
     tangential += _leaks(effects) + apart[:, :, None] * apart[:, None, :]
     lost, reasons = estimator.broken, reasons.copy()
     reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
@@ -108,6 +108,7 @@ def learned_result(
             *response.describe(),
             *((CENSORING,) if (effects.readings.kind == CENSORED).any() else ()),
             SURFACE,
+            *((SHARED_ERRORS.format(errors.where),) if added.any() else ()),
             *((MISFITTING.format(len(data.misfitting)),) if len(data.misfitting) else ()),
         ),
         unknowns=_shared_values(effects, scale * shared),
@@ -125,13 +126,20 @@ def learned_result(
         faults=faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
-        departures=shared_by_contacts.departure,
+        departures=departures,
         response=response,
-        contact_errors=u.errors,
+        contact_errors=_errors(effects),
         additions=_additions(effects, live),
         iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
         seconds={"joint": time.perf_counter() - clock},
     )
+
+
+def _errors(effects: RandomEffects) -> Array:
+    """Errors (m, 3) of the contacts; NaN of those that were left out."""
+    errors = effects.unknowns.errors.copy()
+    errors[effects.data.misfitting] = np.nan
+    return errors
 
 
 def _larger(first: Array, second: Array) -> Array:

@@ -29,6 +29,7 @@ from .departures import departure_scores, fitted_readings
 from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .jump import Jump, jump_of
+from .likelihood_widths import widened
 from .module_parametrization import (
     MODULE_SURFACE,
     MODULES,
@@ -42,7 +43,7 @@ from .parametrization import Parametrization, SurfaceParametrization
 from .pressure import OBSERVED
 from .reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .residual_correlations import shared_errors
-from .rival_optima import RivalOptima, resolve_rivals, widened
+from .rival_optima import RivalOptima, resolve_rivals
 from .variable_projection import SchurComplement
 
 UNCONVERGED = "its position does not converge"

@@ -5,10 +5,6 @@ the mirror image on the other side of its contacts. A covariance describes one o
 know of the other. So a taxel whose contacts leave a wide sector of directions open is started again
 from the mirror image and from a ring about its contacts, with the global parameters fixed. Optima
 that fit better replace the estimate; those that fit nearly as well are its rivals.
-
-Where the contacts lie on a line through the taxel, its position across the line enters the readings
-by its square only: the two optima merge into a flat one, whose curvature says less than its width.
-`widened` measures the width.
 """
 
 from __future__ import annotations
@@ -49,9 +45,6 @@ RESPONSE_SIGMAS = 5.0
 """Pressure, in standard deviations of the noise, above which a reading is a response: noise over a
 low threshold comes from all directions, and would close open sectors. A recording has 1e5 silent
 readings, of which noise lifts 130 above 3 standard deviations and none above 5."""
-WIDTHS = (3.0, 6.0, 12.0)
-"""Distances from the estimate, in its standard deviations, at which the likelihood is compared with
-what the covariance says: at the second and third no taxel should be confidently wrong."""
 NUISANCE_STEPS = 2
 """Newton steps to the best gain and offset at a position: readings are linear in the offset and
 nearly so in the logarithm of the gain."""
@@ -124,45 +117,10 @@ def batches(rows: np.ndarray, copies: int) -> list[np.ndarray]:
     return np.array_split(rows, -(-len(rows) * copies // MAX_COPIES))
 
 
-def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array:
-    """Covariances (n, 2, 2), m^2, of the live taxels along the surface, no narrower than the
-    likelihood.
-
-    The likelihood of a taxel in an open sector is evaluated WIDTHS standard deviations to both
-    sides along the weakest axis of `covariance` (n, 2, 2). Where it falls at x by a factor
-    exp(-u^2 / 2), the standard deviation is at least |x| / max(u, 1). scale: variance of the
-    residuals by which the covariance was multiplied.
-    """
-    points, frames = (
-        estimator.problem.points(estimator.state),
-        estimator.problem.parametrization.rotations(),
-    )
-    rows = np.flatnonzero(open_sectors(estimator, points) > OPEN_SECTOR)
-    out = covariance.copy()
-    if not len(rows):
-        return out
-    widths = np.array([sign * width for width in WIDTHS for sign in (-1.0, 1.0)])[:, None]
-    limit = RING * float(np.median(estimator.data.reach()))
-    for part in batches(rows, len(widths)):
-        value, vectors = np.linalg.eigh(covariance[part])
-        sigma, axis = np.sqrt(value[:, 1]), vectors[:, :, 1]
-        way = np.einsum("kij,kj->ki", frames[part][:, :, :2], axis)
-        step = np.clip(widths * sigma, -limit, limit)
-        there = (points[part] + step[:, :, None] * way).reshape(-1, 3)
-        there = estimator.data.body.closest(there).point
-        copies = np.tile(part, len(widths))
-        z = estimator.state.z[copies]
-        odds = log_odds_between(estimator, copies, (points[copies], z), (there, z))
-        wide = np.abs(step) / np.sqrt(np.maximum(2 * odds.reshape(step.shape) / scale, 1.0))
-        excess = np.maximum(wide.max(axis=0), sigma) ** 2 - value[:, 1]
-        out[part] += excess[:, None, None] * axis[:, :, None] * axis[:, None, :]
-    return out
-
-
 def open_sectors(estimator: JointEstimator, points: Array) -> Array:
     """Largest angle (n,), rad, between the directions from taxels at `points` (n, 3) to neighboring
     contacts that they respond to, in the tangent plane."""
-    taxel, contact, _ = _responses(estimator)
+    taxel, contact, _ = responses(estimator)
     frames = estimator.problem.parametrization.rotations()[taxel]
     offset = estimator.problem.contacts.data.points[contact] - points[taxel]
     x, y, _ = np.einsum("kij,ki->jk", frames, offset)
@@ -180,7 +138,7 @@ def open_sectors(estimator: JointEstimator, points: Array) -> Array:
     return found
 
 
-def _responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array]:
+def responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array]:
     """Taxel, contact and level (k,), Pa, of the observed readings that are neither outlying nor
     noise; of all that are not outlying for a taxel without any."""
     read = estimator.likelihood.readings
@@ -193,7 +151,7 @@ def _responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array
 
 def part_on_sheet(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Array:
     """Part (r,) of the responding contacts that press the sheet of skin at `points` (r, 3)."""
-    taxel, contact, _ = _responses(estimator)
+    taxel, contact, _ = responses(estimator)
     count = np.bincount(taxel, minlength=len(estimator.live))[rows]
     first = np.searchsorted(taxel, rows)
     owner, contact = np.repeat(np.arange(len(rows)), count), contact[ranges(first, count)]
@@ -212,7 +170,7 @@ def starting_points(
     """Starting points (r, 3): the mirror image in the line of the contacts, the ring about them."""
     contacts = estimator.problem.contacts.data.points
     frames = estimator.problem.parametrization.rotations()[rows]
-    taxel, contact, level = _responses(estimator)
+    taxel, contact, level = responses(estimator)
     center, axis = points.copy(), np.zeros_like(points)
     for k, row in enumerate(rows):
         mine = slice(*np.searchsorted(taxel, [row, row + 1]))

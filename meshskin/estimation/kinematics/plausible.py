@@ -63,7 +63,7 @@ def check_on_body(
         return
     remedy = "check the body's link and mount, the indenter's place, units and clocks"
     if explained:
-        remedy = f"{words} would bring them to {1e3 * least:.3g} mm"
+        remedy = f"{words} may be the cause: it would bring them to {1e3 * least:.3g} mm"
     raise CalibrationError(
         "the contacts that follow from the joint angles are not on the body",
         value=f"{1e3 * found:.3g} mm off it in the median",
@@ -77,7 +77,10 @@ def _mistakes(
 ) -> Iterator[tuple[str, ContactKinematics, Array]]:
     """Usual mistakes in words, with the robot and the angles (m, k), rad, without each."""
     names = model.chain.joint_names
-    yield 'joint angles in degrees (unit = "deg" in the map)', model, np.radians(angles)
+    slides = {joint.column for joint in model.chain.joints if joint.slides}
+    turning = np.array([k not in slides for k in range(len(names))])
+    degrees = np.where(turning, np.radians(angles), angles)
+    yield 'joint angles in degrees (unit = "deg" in the map)', model, degrees
     for factor, words in ((1e-3, "mm taken for m"), (1e3, "m taken for mm")):
         moved = replace(model, indenter=factor * model.indenter)
         yield f"an indenter's place in {words}", moved, angles
@@ -89,6 +92,6 @@ def _mistakes(
         order[[i, k]] = k, i
         yield f"{names[i]} and {names[k]} exchanged", model, angles[:, order]
     for k, name in enumerate(names):
-        for zero in ZEROS:
+        for zero in () if k in slides else ZEROS:
             moved = angles + zero * (np.arange(len(names)) == k)
             yield f"{np.degrees(zero):.0f} degrees added to the joint {name}", model, moved

@@ -52,7 +52,7 @@ def steady(
         kept = ~_shallow(at, mean, touch, BESIDE * radius, SHALLOW * depth)
     else:
         kept = np.ones(len(first), dtype=bool)
-    kept &= np.cumsum(kept) % (1 + kept.sum() // MAX_CONTACTS) == 0
+    kept &= np.cumsum(kept) % -(-kept.sum() // MAX_CONTACTS) == 0
     return _means(log, frames, group, np.flatnonzero(kept))
 
 
@@ -94,11 +94,14 @@ def _means(log: SkinLog, frames: np.ndarray, group: np.ndarray, kept: np.ndarray
     start = np.flatnonzero(np.diff(row, prepend=-1))
 
     def mean(values: NDArray[np.floating]) -> Array:
-        """Means of what is known; NaN where nothing is."""
+        """Means of what is known; NaN where less than half is: one reading over a threshold among
+        silences is the noise of one frame."""
         known = np.isfinite(values[rows])
         total = np.add.reduceat(np.where(known, values[rows], 0.0), start, axis=0)
         count = np.add.reduceat(known.astype(int), start, axis=0)
-        return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+        frames_of = np.diff(np.append(start, len(rows))).reshape(-1, *[1] * (values.ndim - 1))
+        known_enough = 2 * count >= frames_of
+        return np.asarray(np.where(known_enough, total / np.maximum(count, 1), np.nan))
 
     return replace(
         log,

@@ -16,6 +16,7 @@ from ...core.arrays import Array
 from ..chart import Charts
 from ..data.measurements import Measurements
 from ..joint.joint_estimator import JointEstimator
+from ..joint.likelihood_widths import WIDTHS
 from ..joint.parametrization import SurfaceParametrization
 from ..joint.reduced_nlp import MAX_ITERATIONS
 from ..joint.rival_optima import (
@@ -25,7 +26,6 @@ from ..joint.rival_optima import (
     MIN_DISTANCE,
     MIN_ON_SHEET,
     RING,
-    WIDTHS,
     log_odds_between,
     part_on_sheet,
     problem_of,
@@ -122,7 +122,7 @@ def _optimum(
 
 def _excess_width(estimator: JointEstimator, charts: Charts, covariance: Array, z: Array) -> Array:
     """What `covariance` (t, 2, 2) lacks of the width of the likelihood along its weakest axis, as
-    `rival_optima.widened`."""
+    `likelihood_widths.widened`."""
     widths = np.array([sign * width for width in WIDTHS for sign in (-1.0, 1.0)])
     t, k = len(covariance), len(widths)
     rows = (np.arange(t)[:, None] * COPIES + np.arange(k)).ravel()

@@ -70,14 +70,17 @@ class KnownResponse:
         skin = _without_departures(CalibratedSkin.of(found, gather(recording, belief)), found)
         data = skin.data
         template = _template(skin, 0 if found.fit is None else found.fit.pairs)
-        rows = np.setdiff1d(np.arange(len(data.points)), data.unread)
+        left_out = np.flatnonzero(np.isnan(errors).any(axis=1))
+        rows = np.setdiff1d(np.arange(len(data.points)), np.union1d(data.unread, left_out))
         return cls(
             recording=_recording(data, rows, recording.metadata),
             belief=replace(data.belief, readings="pressure", contact_motion=None),
             errors=errors[rows],
             template=template,
             values=skin.s,
-            widening=_widening(found, skin, replace(template, contact_errors=errors)),
+            widening=_widening(
+                found, skin, replace(template, contact_errors=np.nan_to_num(errors))
+            ),
         )
 
     def online(

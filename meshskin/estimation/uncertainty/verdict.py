@@ -121,8 +121,11 @@ def force_offset(data: Measurements, calibration: Calibration) -> list[Finding]:
     With forces F + b recorded for F, the patch's radius and the total pressure of a contact grow
     with the exponents LAW (1 + b / F) and 1 + b / F of the recorded force. A sensor that is not
     linear changes the total only, a layer the radius only; scatter of the forces makes both smaller
-    by the part that it has in their variance.
+    by the part that it has in their variance. Raw readings do not tell: electronics that compress
+    them make the total grow slower, as the foams do whose patches grow slower.
     """
+    if data.belief.readings == RAW:
+        return []
     radius, total = (calibration.unknowns.get(f"exponents of the {k}") for k in ("radius", "peak"))
     if radius is None or total is None:
         return []

@@ -8,7 +8,7 @@ such as `force`, `fz` (without `fx`, `fy`) or `normal_force_n`.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 POINT_WORDS = {"p", "c", "cp", "contact", "touch", "point", "pos", "position", "body"}
 """Words before x, y, z that name a point; others, such as v or q, name something else."""
@@ -20,7 +20,7 @@ AXIS = re.compile(r"(?P<words>.*?)[_ .]?(?P<axis>[xyz])(_(?P<unit>m|mm))?")
 """Name of a coordinate, in lower case."""
 
 
-def contact_columns(names: Iterable[str]) -> tuple[list[str], str]:
+def contact_columns(names: Sequence[str]) -> tuple[list[str], str]:
     """The columns of contact points, of normals and of forces, as far as there are, and the unit
     of the points, "" where they do not say it. No columns without those of points, or where two
     kinds of points could be meant.

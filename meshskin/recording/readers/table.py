@@ -129,10 +129,12 @@ def _time_column(names: list[str], file: Path) -> str:
 
 def _groups(names: list[str]) -> dict[str, list[str]]:
     """Columns by their name with * for the number at the end, but for those of times; those of
-    contacts together."""
+    contacts together; beside these a column that is named as their group is in none."""
     contacts = contact_columns(names)[0]
     groups: dict[str, list[str]] = {CONTACTS: contacts} if contacts else {}
     for name in names:
+        if contacts and name == CONTACTS:
+            continue
         if name.lower().partition("_")[0] not in TIME_NAMES and name not in contacts:
             groups.setdefault(re.sub(r"\d+$", "*", name), []).append(name)
     return groups
@@ -245,8 +247,8 @@ def _suggest(stream: Stream) -> list[StreamMap]:
     """What a group of columns could be, by its name and size."""
     name = stream.name.rpartition("/")[2].lower()
     width = len(stream.fields)
-    if name == CONTACTS:
-        unit = contact_columns(stream.fields)[1]
+    contacts, unit = contact_columns(stream.fields)
+    if contacts == list(stream.fields):
         return [StreamMap(stream.name, CONTACTS, length=width, unit=unit)]
     if set(JOINT_NAMES) & set(re.split(r"[^a-z]+", name)):
         return [StreamMap(stream.name, JOINTS, stream.fields if width < 2 else ())]

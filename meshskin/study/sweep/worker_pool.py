@@ -31,6 +31,9 @@ from ...core.errors import StudyError
 from .case import DIED, TIMEOUT, Case, Limits, Outcome
 from .worker import RETIRED, WorkerSetup, initialize, perform
 
+MAX_IDLE = 60.0
+"""Time, s, for which a worker is free while a task waits, after which the task is lost: to start a
+worker takes some seconds, on a machine with much other work ten times as long."""
 ATTEMPTS = 3
 """How often a case is tried whose worker ends, and a pool is started whose workers cannot start.
 A worker may be killed from outside (once, or twice by bad luck); a case that kills its worker does
@@ -150,7 +153,7 @@ class WorkerPool:
                 self._fill(waiting, again)
                 if not self._running:
                     return
-                future = self._ended.get()
+                future = self._next_ended()
                 if future is None:
                     return
                 task = self._running.pop(future, None)
@@ -170,6 +173,20 @@ class WorkerPool:
             else:
                 broken = 0
                 yield outcome
+
+    def _next_ended(self) -> Any:
+        """The next future that ends. Raises BrokenProcessPool where none does though workers are
+        free: a worker that dies between taking a task and saying so takes it along."""
+        idle = False
+        while True:
+            try:
+                return self._ended.get(timeout=MAX_IDLE / 2)
+            except queue.Empty:
+                running = sum(future.running() for future in self._running)
+                free = running < min(self._size, len(self._running))
+                if idle and free:
+                    raise BrokenProcessPool("a task was lost") from None
+                idle = free
 
     def _fill(self, waiting: Iterator[Case], again: deque[Case]) -> None:
         """Hand tasks to the pool until it has enough. Raises BrokenProcessPool."""

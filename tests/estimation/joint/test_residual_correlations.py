@@ -1,5 +1,6 @@
 """Errors that readings of neighbouring contacts share, on linear readings of known errors."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -108,6 +109,17 @@ def test_the_covariances_hold_the_errors(kind, where):
         stated.append(np.mean(np.trace(added + independent, axis1=1, axis2=2)) / 2)
         assert np.mean(wrong**2) > 1.5 * np.mean(np.trace(independent, axis1=1, axis2=2)) / 2
     assert np.mean(stated) / np.mean(square) == pytest.approx(1.0, abs=0.3)
+
+
+def test_small_errors_are_held_by_the_covariances():
+    rng = np.random.default_rng(0)
+    found, _ = fitted(rng, wandering(rng))
+    shared, unit = shared_errors(found), np.tile(np.eye(2), (64, 1, 1))
+    assert shared.beyond(unit, unit) == shared.departure
+    few = replace(shared, score=7.0)
+    assert few.beyond(0.1 * unit, unit) == {}
+    assert few.beyond(unit, unit) == few.departure
+    assert replace(shared, score=12.0).beyond(0.1 * unit, unit)
 
 
 def test_errors_that_are_even_in_the_place_displace_nothing():

@@ -11,7 +11,6 @@ import meshskin as ms
 from meshskin.contact.reading import same_sheet
 from meshskin.core.se3 import exp_so3
 from meshskin.effects.gaussian_noise import GaussianNoise
-from meshskin.estimation.joint import rival_optima
 from meshskin.estimation.joint.likelihood import Readings
 from meshskin.estimation.joint.pressure import OBSERVED
 from meshskin.estimation.joint.rival_optima import open_sectors
@@ -144,37 +143,3 @@ def test_noise_closes_no_open_sector(level, sector):
     )
     found = np.degrees(open_sectors(estimator, np.zeros((2, 3))))
     assert np.allclose(found, [sector, 90.0])
-
-
-def test_a_flat_optimum_is_as_wide_as_its_likelihood(monkeypatch):
-    """Cost k (y^2 - a^2)^2 across the line y = 0 of the contacts, at y = a: sigma = (8 k a^2)^-1/2,
-    and the mirror image at -a, six sigma away, fits as well. The second taxel is Gaussian."""
-    sigma, axis = 0.1e-3, np.array([0.6, 0.8])
-    a = 3 * sigma
-    k = 1 / (8 * a**2 * sigma**2)
-
-    def odds(estimator, rows, first, second):
-        y = (second[0] - first[0])[:, :2] @ axis
-        return np.where(rows == 0, k * ((a + y) ** 2 - a**2) ** 2, y**2 / (2 * sigma**2))
-
-    monkeypatch.setattr(rival_optima, "log_odds_between", odds)
-    monkeypatch.setattr(rival_optima, "open_sectors", lambda *_: np.full(2, np.pi))
-    frames = np.tile(np.eye(3), (2, 1, 1))
-    estimator = SimpleNamespace(
-        state=SimpleNamespace(z=np.zeros((2, 2))),
-        data=SimpleNamespace(
-            reach=lambda: np.array([4e-3]),
-            body=SimpleNamespace(closest=lambda points: SimpleNamespace(point=points)),
-        ),
-        problem=SimpleNamespace(
-            points=lambda state: np.zeros((2, 3)),
-            parametrization=SimpleNamespace(rotations=lambda: frames),
-        ),
-    )
-    across = np.array([-0.8, 0.6])
-    narrow = sigma**2 * np.outer(axis, axis) + (sigma / 4) ** 2 * np.outer(across, across)
-    flat, gaussian = rival_optima.widened(estimator, np.stack([narrow, narrow]), 1.0)
-    assert np.allclose(gaussian, narrow, rtol=1e-9)
-    assert axis @ flat @ axis == pytest.approx((6 * sigma) ** 2)
-    assert across @ flat @ across == pytest.approx((sigma / 4) ** 2)
-    assert across @ flat @ axis == pytest.approx(0.0, abs=1e-15)

@@ -34,10 +34,10 @@ def exchanged(angles):
 @pytest.mark.parametrize(
     ("mistake", "words"),
     [
-        (np.degrees, r'joint angles in degrees \(unit = "deg" in the map\) would bring them to'),
-        (reversed_joint, "the other sign of the joint joint2 would"),
-        (moved_zero, "12 degrees added to the joint joint3 would"),
-        (exchanged, "joint3 and joint2 exchanged would"),
+        (np.degrees, r'joint angles in degrees \(unit = "deg" in the map\) may be the cause: '),
+        (reversed_joint, "the other sign of the joint joint2 may"),
+        (moved_zero, "12 degrees added to the joint joint3 may"),
+        (exchanged, "joint3 and joint2 exchanged may"),
     ],
 )
 def test_mistakes_in_joint_angles_are_named(exploration, mistake, words):
@@ -50,7 +50,7 @@ def test_mistakes_in_joint_angles_are_named(exploration, mistake, words):
 def test_an_indenter_in_mm_is_named(exploration):
     known = exploration.kinematics(**KNOWN)
     known = replace(known, indenter=1e3 * known.indenter)
-    with pytest.raises(CalibrationError, match="indenter's place in mm taken for m would"):
+    with pytest.raises(CalibrationError, match="indenter's place in mm taken for m may"):
         calibrate_log(exploration.log, known, belief(exploration))
 
 

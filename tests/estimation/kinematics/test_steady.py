@@ -57,6 +57,8 @@ def test_contacts_far_apart_stay_and_many_are_thinned(monkeypatch):
     centres = centres + 1e-3 * np.arange(52)[:, None]
     every = steady(log, frames, centres, centres[:, 2], DEPTH, RADIUS)
     assert np.array_equal(every.readings[:, 0], log.readings[frames, 0])
+    monkeypatch.setattr(module, "MAX_CONTACTS", 52)
+    assert len(steady(log, frames, centres, centres[:, 2], DEPTH, RADIUS).time) == 52
     monkeypatch.setattr(module, "MAX_CONTACTS", 20)
     few = steady(log, frames, centres, centres[:, 2], DEPTH, RADIUS)
     assert 15 <= len(few.time) <= 20

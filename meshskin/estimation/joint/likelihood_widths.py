@@ -1,0 +1,124 @@
+"""Optima that are flatter than their curvature says: the covariance is widened to the likelihood.
+
+Where the contacts lie on a line through a taxel, its position across the line enters the readings
+by its square only: two optima merge into a flat one. Where they lie at nearly one place, the
+readings tell the distance from it and little else: the likelihood is an arc.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.arrays import Array
+from .joint_estimator import JointEstimator
+from .rival_optima import OPEN_SECTOR, RING, batches, log_odds_between, open_sectors, responses
+
+WIDTHS = (3.0, 6.0, 12.0)
+"""Distances from the estimate, in its standard deviations, at which the likelihood is compared with
+what the covariance says: at the second and third no taxel should be confidently wrong."""
+STEPS = np.array([sign * width for width in WIDTHS for sign in (-1.0, 1.0)])
+"""These to both sides."""
+SAME_PLACE = 0.5
+"""Rms distance of a taxel's contacts from their middle, relative to its own, below which its
+likelihood is followed along an arc, too."""
+ACROSS = np.array([-8.0, -4.0, -2.0, -1.0, 0.0, 1.0, 2.0, 4.0, 8.0])
+"""Places across the arc at which the likelihood is compared, in standard deviations: the arc about
+the middle of the contacts is not exactly that of the largest likelihood."""
+
+
+def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array:
+    """Covariances (n, 2, 2), m^2, of the live taxels along the surface, no narrower than the
+    likelihood.
+
+    The likelihood of a taxel in an open sector is evaluated WIDTHS standard deviations to both
+    sides along the weakest axis of `covariance` (n, 2, 2), and along an arc about its
+    contacts. Where it falls at x by a factor exp(-u^2 / 2), the standard deviation is at least
+    |x| / max(u, 1). scale: variance of the residuals by which the covariance was multiplied.
+    """
+    points, frames = (
+        estimator.problem.points(estimator.state),
+        estimator.problem.parametrization.rotations(),
+    )
+    rows = np.flatnonzero(open_sectors(estimator, points) > OPEN_SECTOR)
+    out = covariance.copy()
+    if not len(rows):
+        return out
+    limit = RING * float(np.median(estimator.data.reach()))
+    arcs = np.isin(rows, rows_seen_from_one_place(estimator, rows, points[rows]))
+    for curved, group in ((False, rows), (True, rows[arcs])):
+        copies = len(STEPS) * (len(ACROSS) if curved else 1)
+        for part in batches(group, copies) if len(group) else []:
+            value, vectors = np.linalg.eigh(covariance[part])
+            sigma, axis = np.sqrt(value[:, 1]), vectors[:, :, 1]
+            step = np.clip(STEPS[:, None] * sigma, -limit, limit)
+            if curved:
+                there = _along_arcs(estimator, part, points[part], step, vectors, value)
+            else:
+                way = np.einsum("kij,kj->ki", frames[part][:, :, :2], axis)
+                there = (points[part] + step[:, :, None] * way)[:, None]
+            wide = _widths(estimator, part, points[part], there, scale)
+            excess = np.maximum(wide, sigma) ** 2 - np.einsum("ki,kij,kj->k", axis, out[part], axis)
+            out[part] += np.maximum(excess, 0)[:, None, None] * axis[:, :, None] * axis[:, None, :]
+    return out
+
+
+def _widths(
+    estimator: JointEstimator, rows: np.ndarray, points: Array, there: Array, scale: float
+) -> Array:
+    """Largest standard deviations (r,), m, that the likelihood at places `there` (steps, q, r, 3)
+    allows the taxels at `points` (r, 3): of q places of a step the likeliest counts."""
+    steps, across = there.shape[:2]
+    there = estimator.data.body.closest(there.reshape(-1, 3)).point.reshape(there.shape)
+    copies = np.tile(rows, steps * across)
+    z = estimator.state.z[copies]
+    here = np.broadcast_to(points, there.shape).reshape(-1, 3)
+    odds = log_odds_between(estimator, copies, (here, z), (there.reshape(-1, 3), z))
+    odds = np.maximum(2 * odds.reshape(there.shape[:-1]) / scale, 1.0)
+    return np.asarray((np.linalg.norm(there - points, axis=-1) / np.sqrt(odds)).max(axis=(0, 1)))
+
+
+def rows_seen_from_one_place(
+    estimator: JointEstimator, rows: np.ndarray, points: Array
+) -> np.ndarray:
+    """Those of the taxels `rows` at `points` (r, 3) whose contacts lie closer together than a part
+    SAME_PLACE of their distance: these tell little but the distance, and the likelihood is an arc.
+    """
+    centre, spread = _contact_centres(estimator, rows, points)
+    return rows[spread < SAME_PLACE * np.linalg.norm(points - centre, axis=1)]
+
+
+def _along_arcs(
+    estimator: JointEstimator, rows: np.ndarray, points: Array, step: Array, axes: Array,
+    variances: Array,
+) -> Array:  # fmt: skip
+    """Places (steps, q, r, 3) at arc lengths `step` (steps, r), m, about the centres of the
+    contacts of taxels at `points` (r, 3), and ACROSS them; axes (r, 2, 2), variances (r, 2): of the
+    covariances in the tangent planes, the larger one last."""
+    centre, _ = _contact_centres(estimator, rows, points)
+    frames = estimator.problem.parametrization.rotations()[rows][:, :, :2]
+    flat = np.einsum("kij,ki->kj", frames, points - centre)
+    radius = np.linalg.norm(flat, axis=1)
+    x = flat / radius[:, None]
+    y = np.stack([-x[:, 1], x[:, 0]], axis=1)
+    y *= np.where(np.einsum("ki,ki->k", y, axes[:, :, 1]) < 0, -1.0, 1.0)[:, None]
+    angle = np.clip(step / radius, -np.pi, np.pi)[:, None, :, None]
+    length = radius + ACROSS[:, None] * np.sqrt(np.maximum(variances[:, 0], 0.0))
+    moved = length[:, :, None] * (np.cos(angle) * x + np.sin(angle) * y) - flat
+    return np.asarray(points + np.einsum("kij,sqkj->sqki", frames, moved))
+
+
+def _contact_centres(
+    estimator: JointEstimator, rows: np.ndarray, points: Array
+) -> tuple[Array, Array]:
+    """Means (r, 3), m, of the contacts that the taxels `rows` respond to, weighted by the readings,
+    `points` (r, 3) where there are none; and the rms distance (r,), m, from these."""
+    contacts = estimator.problem.contacts.data.points
+    taxel, contact, level = responses(estimator)
+    centre, spread = points.copy(), np.full(len(rows), np.inf)
+    for k, row in enumerate(rows):
+        mine = slice(*np.searchsorted(taxel, [row, row + 1]))
+        if mine.start < mine.stop:
+            weight, at = level[mine] / level[mine].sum(), contacts[contact[mine]]
+            centre[k] = weight @ at
+            spread[k] = np.sqrt(weight @ np.sum((at - centre[k]) ** 2, axis=1))
+    return centre, spread
