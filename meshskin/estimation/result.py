@@ -16,6 +16,8 @@ MOSTLY_OUTLIERS = "most of its readings are outlying"
 """Reason of a taxel whose estimate is dropped; its fault says what was found."""
 RIVAL = "a second position {:.2g} mm away fits nearly as well"
 """Fault of a taxel whose readings have two optima."""
+SHARED_ERRORS = "errors that readings of contacts near one another {} share"
+"""Factor of an estimate whose standard deviations hold such errors."""
 MISFITTING = (
     "without {} contacts whose readings fit no others: bumps, jumps of the curvature, wrong points"
 )

@@ -18,6 +18,7 @@ from ..result import (
     MISFITTING,
     MOSTLY_OUTLIERS,
     RIVAL,
+    SHARED_ERRORS,
     SURFACE,
     EstimatorResult,
     LearnedResponse,
@@ -37,7 +38,6 @@ from .residual_correlations import shared_errors
 from .rival_optima import RivalOptima
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
-SHARED_ERRORS = "errors that readings of contacts near one another {} share"
 FALLING = "the recorded readings fall with pressure: they were turned"
 NOT_SEPARABLE = 0.9
 """Standard deviation, relative to that of its prior, from which a parameter rests on its prior."""

@@ -22,7 +22,15 @@ from ...core.errors import CalibrationError
 from ...core.progress import Stage
 from .. import chart
 from ..data.measurements import Measurements
-from ..result import CENSORING, MISFITTING, MOSTLY_OUTLIERS, RIVAL, SURFACE, EstimatorResult
+from ..result import (
+    CENSORING,
+    MISFITTING,
+    MOSTLY_OUTLIERS,
+    RIVAL,
+    SHARED_ERRORS,
+    SURFACE,
+    EstimatorResult,
+)
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .departures import departure_scores, fitted_readings
@@ -209,16 +217,16 @@ def _result(
         tangential, pose_covariances = six[:, :2, :2], dropped(six)
         surface: tuple[str, ...] = (MODULES, MODULE_SURFACE)
     else:
+        pose_covariances, surface = None, (SURFACE,)
         apart = np.nan_to_num(rivals.points - parametrization.points())
         apart = np.einsum("kij,ki->kj", parametrization.rotations()[:, :, :2], apart)
         tangential = widened(estimator, scale * covariance[:, :2, :2], scale)
         tangential += apart[:, :, None] * apart[:, None, :]
         if fit.good is False:
             tangential += _model_dependence(estimator, fit)
-        elif fitted and errors:
-            tangential += errors.covariances(fitted)
-        pose_covariances = None
-        surface = (SURFACE,)
+        elif fitted and errors and (added := errors.covariances(fitted)).any():
+            tangential += added
+            surface += (SHARED_ERRORS.format(errors.where),)
     if parameters.nuisance_names != declared.parameters.nuisance_names:
         surface += (UNDECLARED_GAINS,)
     silent: tuple[str, ...] = (CENSORING,) if data.noise is not None else ()
@@ -238,10 +246,8 @@ def _result(
     nuisance = spread(problem.nuisance(state.z, groups) * units, np.nan)
     nuisance_sigma = spread(problem.nuisance(sigma, groups) * units, np.inf)
     global_sigma = np.sqrt(np.diag(scale * global_covariance))
-    modulus, modulus_sigma = (
-        data.modulus * float(np.exp(parameters.value("modulus", state.s))),
-        None,
-    )
+    modulus = data.modulus * float(np.exp(parameters.value("modulus", state.s)))
+    modulus_sigma: float | None = None
     if "modulus" in parameters.names:
         modulus_sigma = modulus * float(
             np.hypot(global_sigma[parameters.columns["modulus"]][0], radius_deviation(data))

@@ -257,3 +257,16 @@ def test_a_body_mounted_anew_is_named_and_counted(noisy, log):
     sound = ms.calibrate(log, noisy.belief(contact="auto"))
     assert sound.verdict.level == "PASS"
     assert np.median(sound.position_sigma) < 0.05e-3
+
+
+def test_a_motion_points_where_the_contact_points_were_moved():
+    """Points on a wavy sheet that are all moved by the same, as their distances from it show."""
+    rng, moved = np.random.default_rng(0), np.array([0.3e-3, -0.2e-3, 0.5e-3])
+    normals = np.column_stack([rng.normal(scale=0.4, size=(400, 2)), np.ones(400)])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    points = np.column_stack([rng.uniform(-0.05, 0.05, (400, 2)), np.zeros(400)])
+    data = SimpleNamespace(
+        pressure=np.ones(400), ids=np.arange(40), taxel=np.arange(400) % 40, contact=np.arange(400)
+    )
+    found = contact_errors.motion(data, points, normals @ moved, normals)
+    np.testing.assert_allclose(found.at(points).mean(axis=0), moved, atol=1e-6)
