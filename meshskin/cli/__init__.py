@@ -49,7 +49,6 @@ CLOSED_PIPE = 141
 
 
 atexit.register(gc.freeze)  # the objects that are left at exit are not searched again: 0.6 s less
-gc.set_threshold(50_000)  # imports make 190,000 objects, which are searched 480 times by default
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -58,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 when it worked, 2 for bad input (one line on stderr), 130 after Ctrl-C, 141 when the output
     is piped into a command that ended; a command may document others.
     """
-    with _interruptions() as interrupted, warnings.catch_warnings():
+    with _interruptions() as interrupted, _rare_collections(), warnings.catch_warnings():
         warnings.showwarning = _note
         try:
             options = _parser().parse_args(arguments)
@@ -82,6 +81,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise
     print("meshskin: interrupted; no half-written file is left", file=sys.stderr)
     return INTERRUPTED
+
+
+@contextmanager
+def _rare_collections() -> Iterator[None]:
+    """Objects are searched for garbage less often: imports make 190,000, which are searched 480
+    times by default."""
+    before = gc.get_threshold()
+    gc.set_threshold(50_000)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 def _note(

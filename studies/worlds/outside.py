@@ -4,6 +4,7 @@ contacts, drag.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,20 +32,12 @@ class Oblong:
         first, second = sphere.tangents(touch.points)
         angle = TURN * np.arange(len(touch.points))[:, None] * self.turns + 0.5
         axis = np.cos(angle) * first + np.sin(angle) * second
-        across = np.cross(touch.normals, axis)
-        offset = positions - touch.points[:, None, :]
-        x, y = (np.einsum("mnj,mj->mn", offset, along) for along in (axis, across))
-        near = np.hypot(x, y) < REACH
-        force = np.broadcast_to(touch.force[:, None], near.shape)[near]
-        node, weight = np.polynomial.legendre.leggauss(6)
-        pressure, mean = np.zeros_like(x), np.zeros(len(force))
-        for radius, w in zip(sphere.DISC_RADIUS * np.sqrt((node + 1) / 2), weight, strict=True):
-            for turn in 2 * np.pi * np.arange(12) / 12:
-                u = (x[near] + radius * np.cos(turn)) / self.aspect**0.5
-                v = (y[near] + radius * np.sin(turn)) * self.aspect**0.5
-                mean += w / 24 * self.profile(np.hypot(u, v), force)
-        pressure[near] = mean
-        return pressure
+        stretch = self.aspect**0.5
+
+        def pressure(x: Array, y: Array, force: Array) -> Array:
+            return self.profile(np.hypot(x / stretch, y * stretch), force)
+
+        return over_discs(touch, positions, axis, pressure)
 
 
 @dataclass(frozen=True)
@@ -58,21 +51,13 @@ class Skewed:
 
     def __call__(self, touch: Touch, positions: Array) -> Array:
         """Means (m, n), Pa, of the pressure over the taxels' discs."""
-        offset = positions - touch.points[:, None, :]
         motion = directions(touch) if len(touch.points) > 1 else sphere.tangents(touch.points)[0]
-        x = np.einsum("mnj,mj->mn", offset, motion)
-        y = np.einsum("mnj,mj->mn", offset, np.cross(touch.normals, motion))
-        near = np.hypot(x, y) < REACH
-        force = np.broadcast_to(touch.force[:, None], near.shape)[near]
-        node, weight = np.polynomial.legendre.leggauss(6)
-        pressure, mean = np.zeros_like(x), np.zeros(len(force))
-        for radius, w in zip(sphere.DISC_RADIUS * np.sqrt((node + 1) / 2), weight, strict=True):
-            for turn in 2 * np.pi * np.arange(12) / 12:
-                u, v = x[near] + radius * np.cos(turn), y[near] + radius * np.sin(turn)
-                factor = np.maximum(1 + self.skew * u / self.radius, 0.0)
-                mean += w / 24 * factor * self.profile(np.hypot(u, v), force)
-        pressure[near] = mean
-        return pressure
+
+        def pressure(x: Array, y: Array, force: Array) -> Array:
+            factor = np.maximum(1 + self.skew * x / self.radius, 0.0)
+            return factor * self.profile(np.hypot(x, y), force)
+
+        return over_discs(touch, positions, motion, pressure)
 
 
 @dataclass(frozen=True)
@@ -119,3 +104,23 @@ def directions(touch: Touch) -> Array:
     motion = np.gradient(touch.points, axis=0)
     motion -= np.sum(motion * touch.normals, axis=1, keepdims=True) * touch.normals
     return np.asarray(motion / np.linalg.norm(motion, axis=1, keepdims=True))
+
+
+def over_discs(
+    touch: Touch, positions: Array, axis: Array, pressure: Callable[[Array, Array, Array], Array]
+) -> Array:
+    """Means (m, n), Pa, over the discs of taxels at `positions` (n, 3), m, of the pressure (x, y,
+    force) -> Pa at distances x, y (k,), m, along unit tangents `axis` (m, 3) and across them."""
+    offset = positions - touch.points[:, None, :]
+    across = np.cross(touch.normals, axis)
+    x, y = (np.einsum("mnj,mj->mn", offset, along) for along in (axis, across))
+    near = np.hypot(x, y) < REACH
+    force = np.broadcast_to(touch.force[:, None], near.shape)[near]
+    node, weight = np.polynomial.legendre.leggauss(6)
+    out, mean = np.zeros_like(x), np.zeros(len(force))
+    for radius, w in zip(sphere.DISC_RADIUS * np.sqrt((node + 1) / 2), weight, strict=True):
+        for turn in 2 * np.pi * np.arange(12) / 12:
+            u, v = x[near] + radius * np.cos(turn), y[near] + radius * np.sin(turn)
+            mean += w / 24 * pressure(u, v, force)
+    out[near] = mean
+    return out
