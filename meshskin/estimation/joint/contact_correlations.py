@@ -45,9 +45,9 @@ MODEL_ERROR = 0.03
 """Error of a correlogram of Gaussian fields, relative to its value at distance zero: no field of
 the world has exactly their correlations."""
 MIN_GAIN = 20.0
-"""Decrease of the misfit of the correlograms, as chi-square, from which fields are no chance: it was
-at most 5 in 24 recordings of worlds without any, and 24 or more in 50 of uneven skins and raw
-meshes, measured with fields of two lengths, 0.2 and 0.4, in place of `LENGTH`."""
+"""Decrease of the misfit of the correlograms, as chi-square, from which fields are no chance: at
+most 5 in 24 recordings of worlds without any, and 24 or more in 50 of uneven skins and raw meshes,
+measured with fields of two lengths, 0.2 and 0.4, in place of `LENGTH`."""
 FORCE_UNIT = 0.02
 """Deviation of ln force of the drawn force errors, at least: with less, an estimate that finds
 none would take other errors for a great many of them."""
