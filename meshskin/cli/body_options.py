@@ -24,7 +24,7 @@ def add(parser: Any) -> None:
     """Add the options to a parser or a group of one."""
     parser.add_argument(
         "--units",
-        help="m, cm, mm or in; glTF, Collada and URDF files say it, `check` and "
+        help="unit of the mesh: m, cm, mm or in; glTF, Collada and URDF files say it, `check` and "
         "`init` tell it from the size of others",
     )
     parser.add_argument(
