@@ -296,7 +296,9 @@ class RandomEffects:
                 gain = self.update_variances(posterior)
                 settled = np.inf  # from here on a decrease follows from the change of variances
             elif iteration < 2 and self.crossed is None:
-                self.deviations = self._with_noise(self.deviations, 1)
+                grown = self._with_noise(self.deviations, 1)
+                if grown.noise > self.deviations.noise:  # effects may take the noise, too
+                    self.deviations = grown
             if self.crossed is None:
                 self.spread = self.deviations.noise_of(self.mu)
             self.iterates.append(self.unknowns.parametrization.points())
