@@ -86,7 +86,7 @@ def recalibrate(
     touches = read(recording, belief, known, previous)
     limit = float(np.log(len(known.units) / false_alarm))
     stage = Stage(progress, "recalibrate", USUAL_PASSES * len(known.units))
-    fits = [_settled(touches, known, limit, wide, stage) for wide in (True, False)]
+    fits = [_settled(touches, limit, wide, stage) for wide in (True, False)]
     stage.end()
     errors, found = max(fits, key=lambda fit: _score(fit[0], fit[1], touches, limit))
     findings = _findings(known, found)
@@ -99,7 +99,7 @@ def recalibrate(
         unit_evidence=np.array([_first(e) for e in found]) / np.log(10),
         placed=np.array(
             [
-                bool(e.touched.any()) and is_placed(touches, known, u, errors, e.state)
+                bool(e.touched.any()) and is_placed(touches, u, errors, e.state)
                 for u, e in enumerate(found)
             ]
         ),
@@ -113,18 +113,19 @@ def recalibrate(
 
 
 def _settled(
-    touches: Touches, known: SkinMap, limit: float, wide: bool, stage: Stage
+    touches: Touches, limit: float, wide: bool, stage: Stage
 ) -> tuple[Errors, list[Evidence]]:
     """Errors and states that agree. They start from all units unchanged, with the errors that this
     takes (`wide`), or from ordinary errors, with the changes that this takes."""
-    states: list[Hypothesis] = [unchanged(known, u) for u in range(len(known.units))]
+    units = range(len(touches.known.units))
+    states: list[Hypothesis] = [unchanged(touches.known, u) for u in units]
     errors, seen = error_model.start(touches), []
     for k in range(MAX_PASSES):
         if wide or k:
-            errors = error_model.fit(touches, known, states, errors)
+            errors = error_model.fit(touches, states, errors)
         found = []
-        for u in range(len(known.units)):
-            found.append(judge(touches, known, u, errors, limit))
+        for u in units:
+            found.append(judge(touches, u, errors, limit))
             stage.step()
         states = [evidence.state for evidence in found]
         signature = [(h.state, h.taxel, h.value) for h in states]
