@@ -23,7 +23,7 @@ from ..robot.contact_rig import ContactRig
 from ..robot.turntable import with_swivel
 from ..scene.scene import Scene
 from .lane_plan import STEP, posture_reasons, region_radius
-from .lanes import cover, spacing_for
+from .lanes import cover, evenly, spacing_for
 from .left_out import NOT_COVERED, SPARSE, other_contact, taxels_left_out
 from .path import Path, Plan
 from .point_contacts import nearest_neighbour_order
@@ -79,15 +79,9 @@ def _sparse(left_out: dict[int, str], spacing: float) -> str:
 
 def _on_lanes(rig: ContactRig, sites: Array, spacing: float, margin: float) -> Closest:
     """Points on the surface `spacing`, m, apart along geodesic lanes and from lane to lane."""
-    step = min(STEP, 0.8 * spacing)
     radius = region_radius(sites, margin, rig.sensing_radius)
-    parts = []
-    for lane in cover(rig.body, sites, spacing, radius, step):
-        length = np.linalg.norm(np.diff(lane.point, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(length)])
-        count = max(round(along[-1] / spacing), 1)
-        even = np.linspace(0.0, along[-1], count + 1)
-        parts.append(np.stack([np.interp(even, along, x) for x in lane.point.T], axis=1))
+    lanes = cover(rig.body, sites, spacing, radius, min(STEP, 0.8 * spacing))
+    parts = [evenly(lane.point, spacing, 1) for lane in lanes]
     return rig.body.surface.nearest(np.concatenate(parts) if parts else sites)
 
 
