@@ -23,8 +23,7 @@ from ..scene.settings import Exploration
 from .lanes import cover, spacing_for
 from .left_out import NOT_COVERED, SPARSE, Blocked, other_contact, taxels_left_out, too_wide
 from .path import Path, Plan
-from .timing import arm_path, free_path
-from .tour import ContactPath, contact_paths
+from .tour import ContactPath, arm_path, contact_paths, free_path
 
 STEP = 3e-3
 """Largest distance of samples along a lane, m: about half the distance of neighbouring taxels."""

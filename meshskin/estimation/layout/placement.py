@@ -34,6 +34,18 @@ ITERATIONS = 60
 MAX_DAMPING = 1e6
 """Damping from which no step lowers the stress."""
 
+PLACES, TURNS = 24, 8
+"""Places on a body and turns about its normal that are tried, with both mirror images: 45 degrees
+apart, from which the taxels find their way."""
+KEPT = 16
+"""Placements, of those that start well, whose taxels are settled."""
+ALIKE = 1.1
+"""Misfit over that of the best placement up to which another starts as well: the best start is
+often not the best end."""
+EQUAL = 1.02
+"""The same of settled placements, which the distances do not tell apart: on the shipped scenes
+their misfit differs by less than 1 % where their shapes differ by half a pitch."""
+
 
 class Placement(Protocol):
     """Taxels of a layout and their unknowns."""
@@ -243,19 +255,6 @@ def _normal_equations(
     matrix = np.block([[inner, border[:, None]], [border, 0.5 * np.sum(weight * lengths**2)]])
     toward = jacobian.T @ np.einsum("ij,ija->ia", residual, slope).ravel()
     return matrix, np.append(toward, -0.5 * np.sum(residual * lengths))
-
-
-PLACES, TURNS = 24, 8
-"""Places on a body and turns about its normal that are tried, with both mirror images: 45 degrees
-apart, from which the taxels find their way."""
-KEPT = 16
-"""Placements, of those that start well, whose taxels are settled."""
-ALIKE = 1.1
-"""Misfit over that of the best placement up to which another starts as well: the best start is
-often not the best end."""
-EQUAL = 1.02
-"""The same of settled placements, which the distances do not tell apart: on the shipped scenes
-their misfit differs by less than 1 % where their shapes differ by half a pitch."""
 
 
 def places_on(body: Body) -> Array:

@@ -36,10 +36,9 @@ from .hypotheses import (
     unchanged,
 )
 from .readings import read, recorded_belief
-from .result import Finding, Recalibration
+from .result import Finding, Recalibration, updated
 from .skin_map import SIGMA, SkinMap, skin_map
 from .touches import Touches
-from .updated_map import updated
 
 if TYPE_CHECKING:
     from ...scene.belief import Belief
