@@ -307,14 +307,17 @@ def _offset(body: Body, lane: list[Closest], shift: float, step: float) -> list[
 
 def _resampled(points: Array, step: float) -> list[Array]:
     """The polyline (k, 3) with samples evenly about `step`, m, apart; none if it is short."""
-    length = np.linalg.norm(np.diff(points, axis=0), axis=1).cumsum()[-1]
-    return [] if length < 2 * step else [evenly(points, step, 2)]
+    return [] if lengths_along(points)[-1] < 2 * step else [evenly(points, step, 2)]
+
+
+def lengths_along(points: Array) -> Array:
+    """Lengths (k,), m, from the start of a polyline (k, 3) to its points."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
 def evenly(points: Array, step: float, least: int) -> Array:
     """Points evenly about `step`, m, apart on the polyline (k, 3), in `least` intervals or more."""
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    s = np.concatenate([[0.0], np.cumsum(lengths)])
+    s = lengths_along(points)
     even = np.linspace(0.0, s[-1], max(round(s[-1] / step), least) + 1)
     return np.stack([np.interp(even, s, x) for x in points.T], axis=1)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.arrays import Array
+from ...core.arrays import Array, median_spacing
 from ...core.errors import CalibrationError
 from .placement import Modules, rotation
 
@@ -82,7 +82,7 @@ def _pitch(origins: Array) -> float:
     """Distance of neighbouring modules, m."""
     from scipy.spatial import KDTree
 
-    nearest = float(np.median(KDTree(origins).query(origins, 2)[0][:, 1]))
+    nearest = median_spacing(origins)
     pairs = KDTree(origins).query_pairs(1.3 * nearest, output_type="ndarray")
     return float(np.median(np.linalg.norm(origins[pairs[:, 0]] - origins[pairs[:, 1]], axis=1)))
 

@@ -163,9 +163,7 @@ def moved(base: Hypothesis, body: Body, flat: Array) -> list[Hypothesis]:
     """A unit moved over the body by `flat` (g, 2), m, along two tangents."""
     up = base.normals.mean(axis=0)
     up /= np.linalg.norm(up)
-    first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    first /= np.linalg.norm(first)
-    shifts = flat @ np.stack([first, np.cross(up, first)])
+    shifts = flat @ se3.orthonormal_basis(up, -se3.perpendicular(up))[:, :2].T.copy()
     hit = body.closest((base.points + shifts[:, None]).reshape(-1, 3))
     points = hit.point.reshape(len(shifts), -1, 3)
     normals = hit.normal.reshape(points.shape)
