@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ...core.arrays import neighbour_distances
+from ...core.arrays import median_spacing, neighbour_distances
 from .. import slots
 from ..files.table import SkinTable
 from .defect import (
@@ -136,10 +136,7 @@ def scale(table: SkinTable) -> Iterator[Defect]:
     points = distinct(located(table)).positions
     if len(points) < 2:
         return
-    near, extent = (
-        float(np.median(neighbour_distances(points))),
-        float(np.ptp(points, axis=0).max()),
-    )
+    near, extent = median_spacing(points), float(np.ptp(points, axis=0).max())
     what = f"taxels are {near:.3g} m apart, the skin {extent:.3g} m wide"
     if near > MAX_SPACING or extent > MAX_EXTENT:
         yield defect(
