@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from ..geometry.body import Body
+from ..recording.recording import Recording
 from . import scene3d
 from .data import ReportData
 from .markup import view_3d
-
-if TYPE_CHECKING:
-    from ..geometry.body import Body
-    from ..recording.recording import Recording
 
 SUNK = 1e-3
 """Depth of the contacts below the body, m, from which it hides them."""

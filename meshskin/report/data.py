@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.arrays import Array
+from ..estimation.calibration import Calibration
+from ..estimation.demonstration import Demonstration
+from ..geometry.body import Body
+from ..recording.recording import Recording
+from ..skin.skin import Skin
 from .plane import MM, Plane, tangent_plane
-
-if TYPE_CHECKING:
-    from ..estimation.calibration import Calibration
-    from ..estimation.demonstration import Demonstration
-    from ..geometry.body import Body
-    from ..recording.recording import Recording
-    from ..skin.skin import Skin
 
 METHOD_NAMES = {
     "joint": "joint maximum likelihood",
@@ -97,16 +95,27 @@ class ReportData:
 
     calibration: Calibration
     recording: Recording | None = None
+    """What was calibrated."""
     truth: Skin | None = None
-    """The true skin; None if unknown."""
+    """The true skin of a simulation; without it the report gives the stated uncertainty in place of
+    errors."""
     comparisons: Mapping[str, Calibration] = field(default_factory=dict)
     """Calibrations of the recording by other methods."""
     demonstration: Demonstration | None = None
+    """The pose graph from the origin; without it, the first pose graph that kept its iterates is
+    shown."""
     metrics: Mapping[str, Any] = field(default_factory=dict)
+    """As in metrics.json."""
     seconds: Mapping[str, float] = field(default_factory=dict)
-    """Seconds of each stage of the run."""
+    """Seconds of each stage of the run; by default those of the calibration."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    """By default that of the calibration."""
     body: Body | None = None
+
+    def __post_init__(self) -> None:
+        stages = {k: v for k, v in self.calibration.seconds.items() if k != "total"}
+        object.__setattr__(self, "seconds", self.seconds or stages)
+        object.__setattr__(self, "provenance", self.provenance or self.calibration.provenance)
 
     @cached_property
     def methods(self) -> Mapping[str, Calibration]:

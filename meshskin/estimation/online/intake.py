@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ... import contact
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...scene.belief import Belief
+from ..calibration import Calibration
 from ..data import unit_checks
 from ..data.global_parameters import declared_parameters
 from ..data.measurements import NOMINAL_NOISE, Measurements, nominal_patches
 from ..data.resolve_belief import resolve_belief
 from .frames import ContactFrames
-
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
-    from ..calibration import Calibration
 
 
 def checked_belief(belief: Belief, previous: Calibration | None) -> Belief:

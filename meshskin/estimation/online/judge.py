@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...core.arrays import Array
+from ..calibration import Calibration
 from ..data.resolve_belief import MAX_INVALID
 from ..uncertainty.judge import MAX_FAULTY
 from .running_estimate import RunningEstimate
 from .status import DONE, KEEP_GOING, MISFIT, MOVED, SequentialTest, misfits, moved_taxels
-
-if TYPE_CHECKING:
-    from ..calibration import Calibration
 
 MIN_COUNT = 20
 """Contacts or taxels from which fractions of them are believed."""

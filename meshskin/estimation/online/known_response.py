@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,18 +19,16 @@ from ...contact import LEARNED
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ...recording.recording import CONTACTS, READINGS, Recording
+from ...scene.belief import Belief
 from ..calibration import Calibration
 from ..cross_validation import recorded_belief
 from ..data.gather import gather
 from ..data.global_parameters import DEPARTURES
+from ..data.measurements import Measurements
 from ..localization import CalibratedSkin
 from .linearization import local_estimator
 from .online_calibration import OnlineCalibration
 from .running_estimate import RunningEstimate
-
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
-    from ..data.measurements import Measurements
 
 NUISANCE = ("gain", "offset")
 """Unknowns of a taxel that are estimated anew."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +12,7 @@ from ...core.arguments import check_array, check_real, check_type
 from ...core.arrays import Array
 from ...core.errors import CalibrationError, RecordingError
 from ...recording.recording import Recording
+from ...scene.belief import Belief
 from .. import chart
 from ..calibration import Calibration
 from ..joint.null_space import undetermined
@@ -25,9 +25,6 @@ from .next_touch import NextTouch, next_touch
 from .running_estimate import RunningEstimate
 from .running_noise import RunningNoise
 from .status import KEEP_GOING, OnlineStatus
-
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
 
 PERIOD = 0.02
 """Time from frame to frame, s, where none is given: 50 frames a second."""

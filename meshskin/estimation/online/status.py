@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core.arrays import Array
 from ...core.value import Value
-
-if TYPE_CHECKING:
-    from .next_touch import NextTouch
+from .next_touch import NextTouch
 
 KEEP_GOING, DONE = "keep going", "done"
 MISFIT, MOVED = "model misfit", "moved since the last calibration"

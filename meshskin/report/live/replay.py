@@ -5,19 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from ...core.arrays import Array
 from ...core.errors import RecordingError
+from ...estimation.calibration import Calibration
 from ...estimation.online.frames import ContactFrames
-
-if TYPE_CHECKING:
-    from ...estimation.calibration import Calibration
-    from ...estimation.online.online_calibration import OnlineCalibration
-    from ...estimation.online.status import OnlineStatus
-    from ...recording.recording import Recording
+from ...estimation.online.online_calibration import OnlineCalibration
+from ...estimation.online.status import OnlineStatus
+from ...recording.recording import Recording
 
 REFRESH = 1.0 / 15.0
 """Time between two pictures, s: motion looks continuous, and a core has time to calibrate."""

@@ -6,26 +6,22 @@ It is also the result of a request for a time that is too short for another run.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from ...core.deadline import PAGE_SECONDS, Deadline
-from ...core.progress import Stage
+from ...core.progress import Progress, Stage
 from ...estimation.calibrate import calibrate
+from ...estimation.calibration import Calibration
+from ...exploration.path import Path as ExplorationPath
+from ...recording.recording import Recording
+from ...scene.scene import Scene
+from ...simulation.rollout import Steps
 from ...simulation.simulate import prepare, record_steps, run
+from ...simulation.simulator import Simulator
 from .setting import Setting
 from .trial import timed
-
-if TYPE_CHECKING:
-    from ...core.progress import Progress
-    from ...estimation.calibration import Calibration
-    from ...exploration.path import Path as ExplorationPath
-    from ...recording.recording import Recording
-    from ...scene.scene import Scene
-    from ...simulation.rollout import Steps
-    from ...simulation.simulator import Simulator
 
 FIRST_STEPS, MEASURED_STEPS = 3, 20
 """Usual steps of a first run and of measuring its parts, of the stage "pilot"."""

@@ -14,7 +14,6 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,8 +33,12 @@ from ...core.errors import (
 from ...core.progress import Progress, Stage
 from ...effects import NoiseEffect
 from ...estimation.calibrate import Estimation, calibrate
+from ...estimation.calibration import Calibration
 from ...estimation.uncertainty import metrics
+from ...geometry.body import Body
 from ...recording.recording import Recording
+from ...scene.belief import Belief
+from ...scene.scene import Scene
 from ...simulation.contact_samplers import concatenate
 from ...simulation.simulate import simulate
 from .first_run import FIRST_STEPS, LANES, MEASURED_STEPS, FirstRun
@@ -44,13 +47,6 @@ from .numerical_error import NumericalReference, geometry, mean_mm
 from .request import Pilot, Request
 from .setting import Setting
 from .trial import timed
-
-if TYPE_CHECKING:
-    from ...estimation.calibration import Calibration
-    from ...geometry.body import Body
-    from ...scene.belief import Belief
-    from ...scene.scene import Scene
-
 
 THIN = 4
 """Every THIN-th contact is calibrated again, to separate fixed seconds from those of a reading."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +15,7 @@ from ... import effects
 from ...core.arrays import Array
 from ...core.errors import MeshskinError
 from ...effects import Context, Effect
-
-if TYPE_CHECKING:
-    from ...scene.scene import Scene
+from ...scene.scene import Scene
 
 NEGLIGIBLE = 0.05
 """Part of the budget that all effects that are screened out may take together, by their bounds:

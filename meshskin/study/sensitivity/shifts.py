@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -27,15 +27,12 @@ from ...estimation.data.gather import gather
 from ...estimation.joint import fault_detection
 from ...estimation.joint.joint_estimator import JointEstimator
 from ...estimation.joint.parametrization import SurfaceParametrization
+from ...exploration.path import Path
+from ...recording.recording import Recording
+from ...scene.belief import Belief
+from ...scene.scene import Scene
 from .knobs import SECONDS, TOLERANCES, Knob, Level
 from .replay import Halves, Replay
-
-if TYPE_CHECKING:
-    from ...exploration.path import Path
-    from ...recording.recording import Recording
-    from ...scene.belief import Belief
-    from ...scene.scene import Scene
-
 
 MAX_DISTANCE = 5e-3
 """Distance, m, from its start beyond which a taxel counts as not determined: about the range in
