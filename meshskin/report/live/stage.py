@@ -134,10 +134,6 @@ class Stage:
             indenter=transform(shortest_rotation([0.0, 0.0, 1.0], axis), centre),
         )
 
-    def world_in_body(self, row: int) -> Array:
-        """T_body_w (4, 4) at contact `row`; the identity where the motion is not known."""
-        return np.eye(4) if self.carrier is None else inverse(self.carrier.body[row])
-
 
 def _drawable(belief: Belief, recording: Recording) -> Belief:
     """The belief with a reference force and the contact model whose patches are drawn."""

@@ -25,6 +25,7 @@ from ...core.errors import ConfigError
 from ...core.progress import Progress, Stage
 from ...effects import Effect
 from ...exploration.plan import plan_exploration
+from ...scene.file import BUDGET
 from ...scene.scene import Scene
 from .budget_report import BudgetReport, Check, Entry
 from .knobs import Knob, mesh_bodies, scene_knobs, time_steps
@@ -42,11 +43,8 @@ from .selection import (
 from .setting import with_changes
 from .shifts import EffectShifts, measured_knob, tolerance_knob
 
-__all__ = ["DEFAULT", "BudgetReport", "Check", "Entry", "budget"]
+__all__ = ["BudgetReport", "Check", "Entry", "budget"]
 
-DEFAULT = 0.2e-3
-"""Taxel error, m, that may be left out if neither call nor scene gives one: a tenth of the radius
-of a usual taxel (2 mm)."""
 MARGIN = 0.7
 """Part of the budget that the estimate may take: the errors over other contacts and seeds differ
 from it (`python studies/budget.py`: by less than a factor of 2)."""
@@ -75,7 +73,7 @@ def budget(
     """
     check_type(Scene, scene, "the scene of a budget")
     if taxel_error is None:
-        taxel_error = DEFAULT if scene.budget is None else scene.budget
+        taxel_error = BUDGET if scene.budget is None else scene.budget
     check_type(Real, taxel_error, "an error budget")
     if not (math.isfinite(taxel_error) and taxel_error > 0):
         raise ConfigError(

@@ -18,7 +18,6 @@ from itertools import product
 import numpy as np
 
 from ...contact import BATCHED
-from ...core import arrow
 from ...core.arrays import Array
 from ...core.deadline import REPORT_SECONDS, Deadline
 from ...core.errors import (
@@ -34,6 +33,7 @@ from ...core.progress import Progress, Stage
 from ...effects import NoiseEffect
 from ...estimation.calibrate import Estimation, calibrate
 from ...estimation.calibration import Calibration
+from ...estimation.cross_validation import subset
 from ...estimation.uncertainty import metrics
 from ...geometry.body import Body
 from ...recording.recording import Recording
@@ -79,7 +79,7 @@ def pilot(
     stage.progress, stage.done = hook, FIRST_STEPS
     _, reading = timed(lambda: first.read(seed))  # the first time takes longer
     stage.step()
-    few = _thinned(recording)
+    few, _ = subset(recording, belief, np.arange(len(recording.time)) % THIN == 0)
     parts = [_estimates(data, belief, methods, stage) for data in (recording, few)]
     cost, less = (sum(part.values()) for part in parts)
     each = max(cost - less, 0.0) / max(len(recording.pressure) - len(few.pressure), 1)
@@ -208,16 +208,6 @@ def _estimates(
         seconds[method], begin = now - begin, now
         stage.step()
     return seconds
-
-
-def _thinned(recording: Recording) -> Recording:
-    """Every THIN-th contact of a recording."""
-    keep = np.arange(len(recording.time)) % THIN == 0
-    return Recording(
-        recording.contacts.filter(arrow.column(keep)),
-        recording.readings.filter(arrow.column(keep[recording.reading_contact])),
-        recording.metadata,
-    )
 
 
 def _systematic(scene: Scene, found: Calibration, seed: int) -> float:
