@@ -86,18 +86,11 @@ class KnownResponse:
     ) -> OnlineCalibration:
         """An online calibration for the contacts of `recording`, which are to be given with their
         `errors`; arguments as of `OnlineCalibration`."""
-        return _WithKnownResponse(self, target_sigma, unreachable)
-
-
-class _WithKnownResponse(OnlineCalibration):
-    """An online calibration whose global parameters are known."""
-
-    def __init__(self, known: KnownResponse, target: float, unreachable: Collection[int]) -> None:
-        template = known.template
-        belief = replace(known.belief, threshold=template.threshold, noise_sigma=template.noise)
-        super().__init__(belief, target_sigma=target, unreachable=unreachable)
-        self._estimate = RunningEstimate(template, known.values)
-        self._estimate.widening = known.widening
+        template = self.template
+        belief = replace(self.belief, threshold=template.threshold, noise_sigma=template.noise)
+        online = OnlineCalibration(belief, target_sigma=target_sigma, unreachable=unreachable)
+        online.estimate = RunningEstimate(template, self.values, self.widening)
+        return online
 
 
 def _without_departures(skin: CalibratedSkin, found: Calibration) -> CalibratedSkin:

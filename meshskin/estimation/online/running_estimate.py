@@ -59,10 +59,13 @@ MAX_ROUNDS = 8
 class RunningEstimate:
     """Estimates of n taxels and of the global parameters from the contacts so far."""
 
-    def __init__(self, first: Measurements, known: Array | None = None) -> None:
+    def __init__(
+        self, first: Measurements, known: Array | None = None, widening: float = 1.0
+    ) -> None:
         """first: measurements without contacts, which have all else; known (ks,): the global
-        parameters, where contacts are given with their errors."""
-        n, self._known, self.widening = len(first.ids), known, 1.0
+        parameters, where contacts are given with their errors; widening: factor of the standard
+        deviations then."""
+        n, self._known, self.widening = len(first.ids), known, widening
         self.store = ContactStore(first)
         self.parameters, self.sigma = first.parameters, first.sigma
         if known is not None:
