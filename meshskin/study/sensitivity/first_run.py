@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from ...core.deadline import PAGE_SECONDS, Deadline
 from ...core.progress import Progress, Stage
-from ...estimation.calibrate import calibrate
+from ...estimation.calibrate import Estimation
 from ...estimation.calibration import Calibration
 from ...exploration.path import Path as ExplorationPath
 from ...recording.recording import Recording
@@ -52,10 +52,15 @@ class FirstRun:
     path: ExplorationPath
     machine: Simulator
     steps: list[Steps]
-    recording: Recording
+    estimation: Estimation
     calibration: Calibration
     seconds: tuple[float, float]
     """Processor seconds of planning, and of running the loop."""
+
+    @property
+    def recording(self) -> Recording:
+        """What was calibrated."""
+        return self.estimation.recording
 
     def read(self, seed: int) -> Recording:
         """The recording of the steps."""
@@ -98,11 +103,11 @@ def first_run(
 
     steps, looping = timed(lambda: list(run(small, machine, path, looped)))
     stage.step()
-    recording = record_steps(small, machine, path, steps, seed)
-    found = calibrate(recording, small.belief(), progress=quiet)
+    estimation = Estimation(record_steps(small, machine, path, steps, seed), small.belief())
+    found = estimation.calibrate(progress=quiet)
     stage.step()
     words, seconds = coarse.words(base), (preparing, looping)
-    return FirstRun(small, coarse, words, path, machine, steps, recording, found, seconds)
+    return FirstRun(small, coarse, words, path, machine, steps, estimation, found, seconds)
 
 
 def _widest_lanes(base: Setting, radius: float) -> Setting:
