@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.arrays import Array
 from ..estimation.calibration import Calibration
 from ..estimation.demonstration import Demonstration
+from ..estimation.uncertainty.metrics import position_errors, summary_mm
 from ..geometry.body import Body
 from ..recording.recording import Recording
 from ..skin.skin import Skin
@@ -229,8 +230,6 @@ class ReportData:
 
     def error_summary(self, method: str) -> dict[str, float]:
         """Mean, rms and max error (mm) of a method, over the taxels that it located."""
-        from ..estimation.uncertainty.metrics import summary_mm
-
         return summary_mm(self.errors[method])
 
 
@@ -253,8 +252,6 @@ def has_gauge_freedom(calibration: Calibration) -> bool:
 
 def _errors(calibration: Calibration, truth: Skin, ids: np.ndarray) -> Array:
     """Distances (n,), m, from the truth for the taxels `ids`; NaN where there is no estimate."""
-    from ..estimation.uncertainty.metrics import position_errors
-
     found = np.isfinite(calibration.positions).all(axis=1).sum()
     gauge = has_gauge_freedom(calibration) and found >= 3
     return rows_by_id(calibration.ids, position_errors(calibration, truth, gauge), ids)

@@ -21,14 +21,14 @@ import numpy as np
 
 from ...core.arguments import check_type
 from ...core.arrays import Array
-from ...core.errors import ConfigError
+from ...core.errors import ConfigError, ContactError, ReachError, SimulationError
 from ...core.progress import Progress, Stage
 from ...effects import Effect
 from ...exploration.plan import plan_exploration
 from ...scene.file import BUDGET
 from ...scene.scene import Scene
 from .budget_report import BudgetReport, Check, Entry
-from .knobs import Knob, mesh_bodies, scene_knobs, time_steps
+from .knobs import Knob, Level, mesh_bodies, scene_knobs, time_steps
 from .replay import Holdout, Replay
 from .selection import (
     NEGLIGIBLE,
@@ -41,9 +41,7 @@ from .selection import (
     screened,
 )
 from .setting import with_changes
-from .shifts import EffectShifts, measured_knob, tolerance_knob
-
-__all__ = ["BudgetReport", "Check", "Entry", "budget"]
+from .shifts import EffectShifts, Solution, against_finest, tolerance_knob
 
 MARGIN = 0.7
 """Part of the budget that the estimate may take: the errors over other contacts and seeds differ
@@ -123,10 +121,7 @@ class BudgetTrial:
         )
         total = sum(len(knob.levels) for knob in knobs) + len(effects) + 1
         stage = Stage(progress, "budget", total)
-        self.knobs = tuple(
-            measured_knob(knob, replay, self._changed, self.path, self.halves, self.belief, stage)
-            for knob in knobs
-        )
+        self.knobs = tuple(self._measured(knob, replay, stage) for knob in knobs)
         finest = {k: v for knob in self.knobs for k, v in knob.levels[-1].changes.items()}
         self.everything = self._changed(finest).with_(effects=effects, budget=None)
         """The scene with all effects, at the finest levels."""
@@ -152,6 +147,34 @@ class BudgetTrial:
         """The scene with the changes of a level."""
         scene = with_changes(self.scene, changes)
         return scene.with_(body=self._bodies[changes["faces"]]) if "faces" in changes else scene
+
+    def _measured(self, knob: Knob, replay: Replay, stage: Stage) -> Knob:
+        """A knob with the shifts of its levels, measured along the path without effects.
+
+        replay: of the scene's own level; stage: called after each level. Levels that cannot be run
+        (a time step may be too long for the touch), or under which the contact model does not hold,
+        are left out.
+        """
+        solution, levels = Solution.true(replay.scene), list[Level]()
+        for k, level in enumerate(knob.levels):
+            own, scene = k == knob.declared, self._changed(level.changes)
+            try:
+                run = replay if own else Replay.of(scene, self.path)
+            except (SimulationError, ReachError, ContactError):
+                continue
+            finally:
+                stage.step()
+            recording = run.recording((), 0, self.halves)
+            try:
+                move, _ = solution.step(recording, replace(self.belief, body=scene.body))
+            except ContactError:
+                if own:
+                    raise
+                continue
+            if own:
+                declared = len(levels)
+            levels.append(replace(level, shift=move[self.halves.taxels[0]]))
+        return against_finest(knob.name, levels, declared)
 
     def _effect_item(self, effect: Effect) -> Item:
         name = effect.name

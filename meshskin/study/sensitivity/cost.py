@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["KNOBS", "TARGETS", "Costs", "Route", "Row", "Setting", "cost", "front"]
-
 TARGETS = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Accuracies of the table, mm: half a decade each."""
 MARGINS = (1.0, 0.67)

@@ -11,15 +11,12 @@ over all taxels and the unknowns that they share.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from ...core.arrays import Array
-from ...core.errors import ContactError, ReachError, SimulationError
-from ...core.progress import Stage
 from ...effects import Effect
 from ...estimation import chart
 from ...estimation.calibrate import calibrate
@@ -27,7 +24,6 @@ from ...estimation.data.gather import gather
 from ...estimation.joint import fault_detection
 from ...estimation.joint.joint_estimator import JointEstimator
 from ...estimation.joint.parametrization import SurfaceParametrization
-from ...exploration.path import Path
 from ...recording.recording import Recording
 from ...scene.belief import Belief
 from ...scene.scene import Scene
@@ -172,48 +168,10 @@ def tolerance_knob(shifts: EffectShifts, contacts: float) -> Knob:
         seconds = SECONDS["reading"] * readings * iterations
         level = Level({"tolerance": tolerance}, reading=seconds, label=f"{tolerance:g}")
         levels.append(replace(level, shift=found.positions[rows]))
-    return _against_finest("solver tolerance", levels, len(levels) - 1)
+    return against_finest("solver tolerance", levels, len(levels) - 1)
 
 
-def measured_knob(
-    knob: Knob,
-    replay: Replay,
-    scene_with: Callable[[Mapping[str, Any]], Scene],
-    path: Path,
-    halves: Halves,
-    belief: Belief,
-    stage: Stage,
-) -> Knob:
-    """A knob with the shifts of its levels, measured along a path without effects.
-
-    replay: of the scene's own level; scene_with: the scene with the changes of a level; stage:
-    called after each level. Levels that cannot be run (a time step may be too long for the touch),
-    or under which the contact model does not hold, are left out.
-    """
-    solution = Solution.true(replay.scene)
-    levels: list[Level] = []
-    for k, level in enumerate(knob.levels):
-        own, scene = k == knob.declared, scene_with(level.changes)
-        try:
-            run = replay if own else Replay.of(scene, path)
-        except (SimulationError, ReachError, ContactError):
-            continue
-        finally:
-            stage.step()
-        recording = run.recording((), 0, halves)
-        try:
-            move, _ = solution.step(recording, replace(belief, body=scene.body))
-        except ContactError:
-            if own:
-                raise
-            continue
-        if own:
-            declared = len(levels)
-        levels.append(replace(level, shift=move[halves.taxels[0]]))
-    return _against_finest(knob.name, levels, declared)
-
-
-def _against_finest(name: str, levels: Sequence[Level], declared: int) -> Knob:
+def against_finest(name: str, levels: Sequence[Level], declared: int) -> Knob:
     """A knob from levels whose `shift` holds positions or moves: the last is subtracted."""
     finest = levels[-1].shift
     return Knob(name, tuple(replace(x, shift=x.shift - finest) for x in levels), declared)
