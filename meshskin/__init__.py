@@ -110,9 +110,9 @@ _NAMES = {
     "tuning.tune": ("tune",),
 }
 """Public names by the module that defines them; "contact" and "effects" are modules themselves."""
-_HOMES = {name: home for home, names in _NAMES.items() for name in names}
+_HOMES = dict(sorted((name, home) for home, names in _NAMES.items() for name in names))
 
-__all__ = [*sorted(_HOMES)]
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:
