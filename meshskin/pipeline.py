@@ -81,7 +81,7 @@ def run(
     request: Request | None = None,
     budget: float | None = None,
     watch: Callable[[Scene, Recording, Calibration], None] | None = None,
-    timer: StageTimer | None = None,
+    began: tuple[float, float] | None = None,
 ) -> Result:
     """Simulate, calibrate and report a scene; write all files into `folder`.
 
@@ -90,9 +90,9 @@ def run(
     figures that do not fit are left out and named, and where the chosen run does not fit, the
     pilot's is the result. budget: taxel error, m, that may be neglected, in place of the scene's
     own: `ms.budget` then chooses the effects. watch: called once the recording is calibrated; its
-    time counts for no stage. timer: started before, so that its time counts, too. Raises StudyError
-    for a time that even the pilot run does not fit in, where it can before that run, and other
-    MeshskinErrors that name the value, the limit and the remedy.
+    time counts for no stage. began: wall and processor time, s, of an earlier begin. Raises
+    StudyError for a time that even the pilot run does not fit in, where it can before that run, and
+    other MeshskinErrors that name the value, the limit and the remedy.
     """
     from .report.data import ReportData
     from .report.page import draw
@@ -101,9 +101,9 @@ def run(
     from .study.sensitivity.first_run import least_seconds
 
     check_integer("seed", seed, least=0)
-    folder, timer = Path(folder), timer or StageTimer()
+    folder, timer = Path(folder), StageTimer()
     asked = math.inf if request is None or request.seconds is None else request.seconds
-    deadline = Deadline(asked, timer.start)
+    deadline = Deadline(asked) if began is None else Deadline(asked, began)
     check_run_seconds(asked, deadline.least(LEAST_SECONDS - IMPORT_SECONDS))
     with timer.stage("load"):
         Stage(progress, "plan")  # goes on, and ends, in `simulate`
@@ -139,8 +139,8 @@ def run(
         watch(scene, recording, calibration)
         watched.end()
     with timer.stage("compare"):
-        seconds = (lambda _: 0.0) if choice is None else choice.seconds
-        comparison = compare_methods(done.estimation, progress, deadline, REPORT_SECONDS, seconds)
+        expected = (lambda _: 0.0) if choice is None else choice.seconds
+        comparison = compare_methods(done.estimation, progress, deadline, REPORT_SECONDS, expected)
         demonstration = None
         # where taxels share too few contacts, or the time is used up
         with suppress(CalibrationError, GraphError, OutOfTime):
@@ -168,10 +168,11 @@ def run(
         hook = deadline.hook(progress, FIGURE_SECONDS)
         metrics["figures_left_out"] = draw(folder / "report.html", data, hook)[1]
     if choice is not None:
+        seconds, processor = deadline.spent
         choice.record["came_to"] = {
             "error_mm": metrics["position_error_mm"]["mean"],
-            "seconds": deadline.spent[0],
-            "processor_seconds": timer.processor,
+            "seconds": seconds,
+            "processor_seconds": processor,
         }
     metrics["seconds"] = {k: round(v, 4) for k, v in timer.seconds.items()}
     write_json(folder / "metrics.json", metrics)

@@ -235,14 +235,10 @@ class ReportData:
 
 def rows_by_id(ids: ArrayLike, values: ArrayLike, wanted: ArrayLike) -> Array:
     """Rows of `values` (n, ...) for the ids `wanted`; NaN where an id is missing."""
-    have, want = np.asarray(ids), np.asarray(wanted)
-    v = np.asarray(values, dtype=float)
-    out = np.full((len(want), *v.shape[1:]), np.nan)
-    row = {int(k): i for i, k in enumerate(have)}
-    for i, k in enumerate(want):
-        if int(k) in row:
-            out[i] = v[row[int(k)]]
-    return out
+    v, row = np.asarray(values, dtype=float), {int(k): i for i, k in enumerate(np.asarray(ids))}
+    missing = np.full((1, *v.shape[1:]), np.nan)
+    rows = [row.get(int(k), -1) for k in np.asarray(wanted)]
+    return np.concatenate([v, missing])[np.array(rows, dtype=int)]
 
 
 def has_gauge_freedom(calibration: Calibration) -> bool:

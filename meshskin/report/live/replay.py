@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from ...estimation.online.frames import RecordedFrames
 from ...estimation.online.online_calibration import OnlineCalibration
 from ...estimation.online.status import OnlineStatus
 from ...recording.recording import Recording
+
+if TYPE_CHECKING:
+    from .panel import Panel
 
 REFRESH = 1.0 / 15.0
 """Time between two pictures, s: motion looks continuous, and a core has time to calibrate."""
@@ -67,18 +70,6 @@ def _in_body_frame(found: OnlineCalibration | Calibration) -> Array:
     return covariances
 
 
-class Controls(Protocol):
-    """What the viewer chooses while it runs."""
-
-    @property
-    def speed(self) -> float:
-        """Seconds of the recording per second."""
-
-    @property
-    def paused(self) -> bool:
-        """Whether the replay is held."""
-
-
 def replay_times(recording: Recording) -> Array:
     """Times (m,), s, at which the contacts are shown at speed 1: without long pauses, from 0."""
     steps = np.diff(recording.time, prepend=recording.time[:1])
@@ -88,12 +79,12 @@ def replay_times(recording: Recording) -> Array:
 def replay(
     recording: Recording,
     online: OnlineCalibration,
-    controls: Controls,
+    controls: Panel,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
     errors: Array | None = None,
 ) -> Iterator[Snapshot]:
-    """Feed the contacts to `online` at the controls' speed; yield a snapshot after each update.
+    """Feed the contacts to `online` at the speed of the panel; yield a snapshot after each update.
 
     Every REFRESH the contacts that are due, at most MOST_FRAMES, go in as one update. After
     the last one, what waits for being estimated anew is. errors (m, 3): of the contacts, where
