@@ -14,7 +14,9 @@ from ..core.atomic_io import write_text
 from ..core.progress import Progress
 from . import markup
 from .data import ReportData
+from .figure_set import draw_figures
 from .markup import Content
+from .sections import content
 
 if TYPE_CHECKING:
     from ..estimation.cross_validation import CrossValidation
@@ -87,9 +89,6 @@ def draw(
 
     Returns the paths written, and the names of the figures left out.
     """
-    from .figure_set import draw_figures
-    from .sections import content
-
     started = perf_counter()
     pictures, left_out = draw_figures(path.parent / "figures", data, progress)
     data = replace(

@@ -181,11 +181,10 @@ class BudgetTrial:
         dependants = {
             e.name: [o.name for o in self.effects if e.name in o.requires] for e in self.effects
         }
-        omission = self.shifts.without(closure([name], dependants))
-        self.changed[name] = omission.changed
-        self.seconds[name] += omission.fewer * self.tolerance.levels[0].seconds
+        shift, self.changed[name], fewer = self.shifts.without(closure([name], dependants))
+        self.seconds[name] += fewer * self.tolerance.levels[0].seconds
         required = tuple(n for n in effect.requires if n not in self.screened)
-        return Item(name, omission.shift, self.seconds[name], required)
+        return Item(name, shift, self.seconds[name], required)
 
     def forced(self, limit: float) -> dict[str, str]:
         """The items that are on in any case, with the reason."""
@@ -210,7 +209,7 @@ class BudgetTrial:
         on = set(on)
         off = {e.name for e in self.effects if e.name not in on}
         steps = [item for item in self.items if ":" in item.name]
-        return self.shifts.without(off).shift + left_out(on, steps)
+        return self.shifts.without(off)[0] + left_out(on, steps)
 
     def scene_with(self, on: Iterable[str]) -> Scene:
         """The scene with these items on."""

@@ -100,19 +100,6 @@ def determined_taxels(recording: Recording, belief: Belief) -> np.ndarray:
     return out
 
 
-@dataclass(frozen=True)
-class Omission:
-    """The consequences of leaving out effects."""
-
-    shift: Array
-    """Shift of the taxels of the half (seeds, n, 3), m."""
-    changed: int
-    """Number of taxels that are determined only with these effects, or only without them (the
-    largest number over the seeds)."""
-    fewer: float
-    """Part of the readings that are lost; negative if there are more."""
-
-
 @dataclass
 class EffectShifts:
     """Effects over one half of a replay, in which every run has the same motion and noise."""
@@ -136,8 +123,12 @@ class EffectShifts:
         self._residual = [solution.step(r, self.belief)[0] for solution, r in pairs]
         self._determined = [determined_taxels(r, self.belief) for r in self.recordings]
 
-    def without(self, off: Iterable[str]) -> Omission:
-        """The consequences of leaving out effects, by name."""
+    def without(self, off: Iterable[str]) -> tuple[Array, int, float]:
+        """What leaving out effects, by name, does: the shift of the taxels of the half
+        (seeds, n, 3), m; the number of taxels that are determined only with these effects, or only
+        without them, the largest over the seeds; and the part of the readings that are lost,
+        negative if there are more.
+        """
         kept = tuple(effect for effect in self.effects if effect.name not in set(off))
         rows, shifts, changed, fewer = self.halves.taxels[0], [], 0, 0.0
         for k, seed in enumerate(self.seeds):
@@ -148,7 +139,7 @@ class EffectShifts:
             changed = max(changed, int(differs[rows].sum()))
             lost = 1.0 - len(recording.pressure) / max(len(whole.pressure), 1)
             fewer += lost / len(self.seeds)
-        return Omission(np.stack(shifts), changed, fewer)
+        return np.stack(shifts), changed, fewer
 
     def _recording(self, effects: tuple[Effect, ...], seed: int) -> Recording:
         return self.replay.recording(effects, seed, self.halves)
