@@ -133,24 +133,10 @@ class Estimation:
             touched=data.counts > 0,
             readings=data.counts,
             method=method,
-            anchor=result.anchor,
-            factors=result.factors,
             chi2=result.chi2,
             reasons=reasons,
-            modulus=result.modulus,
-            modulus_sigma=result.modulus_sigma,
-            unknowns=result.unknowns,
-            undetermined=result.undetermined,
-            taxel_unknowns=result.taxel_unknowns,
-            faults=result.faults,
-            rivals=result.rivals,
-            fit=result.fit,
-            response=result.response,
-            contact_errors=result.contact_errors,
-            additions=result.additions,
             contact_centroids=self._contact_centroids,
             belief=data.belief,
-            iterates=result.iterates,
             provenance=provenance(
                 method=method,
                 recording=self._digest,
@@ -158,6 +144,7 @@ class Estimation:
             ),
             disc_radius=data.belief.disc_radius,
             frame=getattr(data.belief.body, "frame", None),  # an exact surface has none
+            **result.details,
         )
         seconds = {"gather": self._seconds, **result.seconds}
         total = self._seconds + time.perf_counter() - begin

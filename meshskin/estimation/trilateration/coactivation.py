@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.arrays import Array, sums_by_group
-from ...core.errors import CalibrationError
 from .. import chart
 from ..data.measurements import Measurements
 from ..data.raw_readings import DENSE
@@ -119,11 +118,7 @@ def live_taxels(
     reasons = np.where(start.found & ~responds, NOISE, start.reasons)
     live = np.setdiff1d(np.flatnonzero(reasons == ""), stuck)
     if not len(live):
-        raise CalibrationError(
-            "no taxel is determined by the recording",
-            value=", ".join(sorted(set(map(str, reasons)))),
-            remedy="touch every taxel from at least three contacts that are not on a line",
-        )
+        raise trilaterate.undetermined(reasons)
     return live, reasons
 
 
