@@ -9,7 +9,7 @@ import numpy as np
 
 from ... import contact
 from ...core.arrays import Array
-from ...core.errors import CalibrationError
+from ...core.errors import CalibrationError, ContactError
 from ...scene.belief import RAW
 from . import unit_checks
 from .delay import without_delay
@@ -23,6 +23,11 @@ from .sensor_range import check_answered, check_disc, common_end, constant_taxel
 if TYPE_CHECKING:
     from ...recording.recording import Recording
     from ...scene.belief import Belief
+
+
+STIFFER = 3.0
+"""Factor on Young's modulus at which a contact model must hold for a response to be learned in its
+place: the factor on E* from which the verdict doubts. Wider contacts are errors of units."""
 
 
 def gather(recording: Recording, belief: Belief) -> Measurements:
@@ -125,6 +130,32 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     check_answered(data)
     check_disc(data)
     return data
+
+
+def gather_or_learn(recording: Recording, belief: Belief) -> tuple[Measurements, str]:
+    """The measurements, for a learned response where contact "auto" finds no model that holds but
+    would at STIFFER times Young's modulus; and why no model holds, "" where one does.
+
+    Raises as `gather`.
+    """
+    try:
+        return gather(recording, belief), ""
+    except ContactError as error:
+        stiffer = replace(belief.material, young=STIFFER * belief.material.young)
+        if belief.contact != contact.AUTO or not _holds(
+            recording, replace(belief, material=stiffer)
+        ):
+            raise
+        return gather(recording, replace(belief, contact=contact.LEARNED)), str(error)
+
+
+def _holds(recording: Recording, belief: Belief) -> bool:
+    """Whether a contact model holds in the recording's contacts."""
+    try:
+        resolve_belief(belief, recording)
+    except ContactError:
+        return False
+    return True
 
 
 def _headings(recording: Recording, belief: Belief) -> Array | None:
