@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -217,18 +216,17 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
         return calibration_file.csv(self)
 
     def report(self, path: str | Path, **options: Any) -> list[Path]:
-        """Write the report page, `path`.html; options (truth=skin, recording=, ...) as
-        `meshskin.report`.
+        """Write the report page, `path`.html; options (truth=skin, recording=, ...): fields of
+        report.data.ReportData, and those of report.page.report.
 
         body: by default that of the belief; a calibration that was loaded has none. Returns the
         files written. Raises ConfigError for a path with another suffix than .html and for a truth
         that is not a Skin, UnknownNameError for an unknown option.
         """
-        from ..report.page import report
+        from ..report.page import OPTIONS, report
 
-        known = list(inspect.signature(report).parameters)
         for name in options:
-            check_name("option of a report", name, known)
+            check_name("option of a report", name, OPTIONS)
         if Path(path).suffix not in ("", ".htm", ".html"):
             raise ConfigError(
                 "a report is an HTML page", value=str(path), remedy="give a path that ends in .html"

@@ -41,7 +41,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     """
     unit_checks.check_finite(recording)
     unit_checks.check_readings(recording.metadata.get("readings"), belief.readings)
-    index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
+    index = taxel_rows(recording.reading_taxel, np.asarray(belief.taxel_ids))
     unit_checks.check_unique(recording, index, len(belief.taxel_ids))
     headings, points = _headings(recording, belief), recording.points
     hit = belief.body.closest(points)
@@ -189,7 +189,7 @@ def _require_readings(read: np.ndarray, recording: Recording, pressed: np.ndarra
         )
 
 
-def _taxel_index(taxels: np.ndarray, ids: np.ndarray) -> np.ndarray:
+def taxel_rows(taxels: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """Row in `ids` of each taxel id. Raises CalibrationError for ids that are not there."""
     order = np.argsort(ids, kind="stable")
     row = np.minimum(np.searchsorted(ids[order], taxels), len(ids) - 1)
