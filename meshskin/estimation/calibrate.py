@@ -74,7 +74,7 @@ class Estimation:
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         found, result = self._estimated(method, tolerance, iterations, stage=stage)
         begin = time.perf_counter()
-        verdict = judge(self.recording, self._near, found, result.departures)
+        verdict = judge(self.recording, self._near, found, result.departures, self.data)
         stage.end()
         judged = time.perf_counter() - begin
         more = {name: found.seconds[name] + judged for name in ("other", "total")}
