@@ -18,7 +18,6 @@ Source: Pukelsheim, "Optimal Design of Experiments" (2006), chapters 5 to 7 and 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,10 +26,8 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation import chart
 from meshskin.estimation.next_contact import expected_slopes
 from meshskin.estimation.uncertainty.observability import mean_distance
-
-if TYPE_CHECKING:
-    from meshskin.geometry.body import Body
-    from meshskin.scene.belief import Belief
+from meshskin.geometry.body import Body
+from meshskin.scene.belief import Belief
 
 PITCH = 1.0 / 30.0
 """Distance of the candidates, in reaches of a contact: the optimal error changes by its square."""
