@@ -19,7 +19,6 @@ from ..robot import collision, posture
 from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
-from ..scene.settings import Exploration
 from .lanes import cover, spacing_for
 from .left_out import NOT_COVERED, SPARSE, Blocked, other_contact, taxels_left_out, too_wide
 from .path import Path, Plan
@@ -47,10 +46,10 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
     ReachError where nothing can be explored.
     """
     stage = Stage(progress, "explore", 4)
-    exploration, dt = scene.exploration, scene.loop.dt
+    exploration = scene.exploration
     sites, spacing = scene.skin.positions, exploration.lane_spacing
     if exploration.contacts is not None:
-        pitch = exploration.speed * (scene.frame_steps * dt)
+        pitch = exploration.speed * (scene.frame_steps * scene.loop.dt)
         spacing = spacing_for(rig.sensing_radius, exploration.contacts, pitch)
     step = min(STEP, 0.8 * spacing)
     radius = region_radius(sites, exploration.margin, rig.sensing_radius)
@@ -61,9 +60,9 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
     paths = contact_paths(rig, pieces, spacing, step)
     stage.step()
     if rig.arm is None:
-        segments = [free_path(rig, path, exploration, dt) for path in paths]
+        segments = [free_path(scene, rig, path) for path in paths]
     else:
-        segments, unreached = _arm_segments(rig, paths, exploration, dt)
+        segments, unreached = _arm_segments(scene, rig, paths)
         blocked += unreached
     stage.step()
     left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
@@ -129,7 +128,7 @@ def region_radius(sites: Array, margin: float, sensing_radius: float) -> float:
 
 
 def _arm_segments(
-    rig: ContactRig, paths: list[ContactPath], exploration: Exploration, dt: float
+    scene: Scene, rig: ContactRig, paths: list[ContactPath]
 ) -> tuple[list[Path], list[Blocked]]:
     """The segments along contact paths that the arm can follow, and what it cannot reach."""
     arm = rig.arm
@@ -155,7 +154,7 @@ def _arm_segments(
         path = paths[k].part(slice(own[0] - first[k], own[-1] + 1 - first[k]))
         spin = np.interp(own, known, chain.spin[begin:end])
         q = chain.q[begin + np.searchsorted(known, own, side="right") - 1]
-        parts = _split(rig, path, tangents[own], spin, q, exploration, dt)
+        parts = _split(scene, rig, path, tangents[own], spin, q)
         segments += parts
         if not parts:
             blocked.append((path.points, np.full(len(path), WINDING, dtype=object)))
@@ -163,23 +162,18 @@ def _arm_segments(
 
 
 def _split(
-    rig: ContactRig, path: ContactPath, tangents: Array, spin: Array, q: Array,
-    exploration: Exploration, dt: float,
-) -> list[Path]:  # fmt: skip
+    scene: Scene, rig: ContactRig, path: ContactPath, tangents: Array, spin: Array, q: Array
+) -> list[Path]:
     """The segment along a contact path, in halves where an endless joint of the chain winds up."""
     if len(path) < SHORT:
         return []
     try:
-        return [arm_path(rig, path, tangents, spin, q[0], exploration, dt)]
+        return [arm_path(scene, rig, path, tangents, spin, q[0])]
     except ReachError:
         middle = len(path) // 2
-    return [
-        segment
-        for half in (slice(0, middle), slice(middle, len(path)))
-        for segment in _split(
-            rig, path.part(half), tangents[half], spin[half], q[half], exploration, dt
-        )
-    ]
+    halves = slice(0, middle), slice(middle, len(path))
+    parts = (_split(scene, rig, path.part(h), tangents[h], spin[h], q[h]) for h in halves)
+    return [segment for part in parts for segment in part]
 
 
 def _sparse_nodes(
