@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 ROWS = ("points", "normals", "poses", "twists", "faces")
 """Fields of a path with one row per sample."""
+SEGMENT_ROWS = ("postures", "forces")
+"""Fields of a path with one row per segment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +56,14 @@ class Path(Value):
     """First row of every segment but the first, in order."""
     postures: Array | None = None
     """Joint angles (len(breaks) + 1, n) at the first pose of each segment, rad; None: no arm."""
+    forces: Array | None = None
+    """Reference force (len(breaks) + 1,) of each segment, N; None: that of the scene's law."""
     unreachable: Mapping[int, str] = field(default_factory=dict)
     """Reason for each taxel (by id) that the path leaves out."""
 
     @classmethod
     def concatenate(cls, segments: Sequence[Path]) -> Path:
         """The path that follows the segments one after the other."""
-        postures = [s.postures for s in segments if s.postures is not None]
         breaks = np.cumsum([len(s.points) for s in segments])[:-1]
         rows: dict[str, Any] = {
             name: np.concatenate([getattr(s, name) for s in segments]) for name in ROWS
@@ -69,7 +72,8 @@ class Path(Value):
             dt=segments[0].dt,
             **rows,
             breaks=tuple(int(k) for k in breaks),
-            postures=np.concatenate(postures) if len(postures) == len(segments) else None,
+            postures=_joined([s.postures for s in segments]),
+            forces=_joined([s.forces for s in segments]),
         )
 
     @property
@@ -79,9 +83,13 @@ class Path(Value):
         found = []
         for k, (first, last) in enumerate(pairwise(ends)):
             rows = {name: getattr(self, name)[first:last] for name in ROWS}
-            posture = None if self.postures is None else self.postures[k : k + 1]
-            found.append(Path(dt=self.dt, **rows, postures=posture))
+            found.append(Path(dt=self.dt, **rows, **self._of_segments(slice(k, k + 1))))
         return found
+
+    def _of_segments(self, rows: slice) -> dict[str, Any]:
+        """The fields of SEGMENT_ROWS of some segments."""
+        fields = {name: getattr(self, name) for name in SEGMENT_ROWS}
+        return {name: None if value is None else value[rows] for name, value in fields.items()}
 
     def truncated(self, count: int) -> Path:
         """The path's first `count` rows."""
@@ -90,7 +98,7 @@ class Path(Value):
             self,
             **{name: getattr(self, name)[:count] for name in ROWS},
             breaks=breaks,
-            postures=None if self.postures is None else self.postures[: len(breaks) + 1],
+            **self._of_segments(slice(len(breaks) + 1)),
         )
 
     def resampled(self, dt: float, body: Body) -> Path:
@@ -217,6 +225,12 @@ class Plan(Value, Card, Tabular):
     def headings(self) -> Array:
         """R_w_b (k, 3, 3) along the path."""
         return self.path.poses[:, :3, :3]
+
+
+def _joined(parts: list[Array | None]) -> Array | None:
+    """The rows of all parts; None where one is None."""
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None
 
 
 def time_scaling(cruise: float, ramp: float, dt: float) -> Array:
