@@ -6,15 +6,13 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, cast
+from importlib.metadata import EntryPoint
+from typing import Any, cast
 
 from ..core import config
 from ..core.errors import ConfigError, UnknownNameError
 from ..core.field_docs import document_fields
 from .base import Effect, check_effect
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 NAMES = (
     "friction", "layer", "elliptic_patch", "disc_averaging", "cover_fabric", "scan_order",

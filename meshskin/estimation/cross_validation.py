@@ -17,7 +17,7 @@ import numpy as np
 from ..contact import LEARNED
 from ..core import arrow
 from ..core.arguments import check_integer
-from ..core.arrays import Array
+from ..core.arrays import Array, median_spacing
 from ..core.errors import CalibrationError
 from ..core.progress import Progress, Stage
 from ..core.value import Value
@@ -139,7 +139,7 @@ def cross_validate(
         count += number
         stage.step()
     return CrossValidation(
-        points, localized, centroids, fold, likelihood, count, _pitch(calibration.positions)
+        points, localized, centroids, fold, likelihood, count, median_spacing(calibration.positions)
     )
 
 
@@ -189,16 +189,6 @@ def recorded_belief(calibration: Calibration) -> Belief:
         saturation=None if belief.saturation is None else belief.saturation * unit,
         noise_sigma=None if belief.noise_sigma is None else belief.noise_sigma * unit,
     )
-
-
-def _pitch(positions: Array) -> float:
-    """Median distance, m, of determined positions (n, 3) from their nearest neighbours."""
-    from scipy.spatial import cKDTree
-
-    found = positions[np.isfinite(positions[:, 0])]
-    if len(found) < 2:
-        return float("nan")
-    return float(np.median(cKDTree(found).query(found, k=2)[0][:, 1]))
 
 
 def held_out_in_words(metrics: dict[str, Any]) -> str:

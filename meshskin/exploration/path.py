@@ -64,27 +64,26 @@ class Path(Value):
     @classmethod
     def concatenate(cls, segments: Sequence[Path]) -> Path:
         """The path that follows the segments one after the other."""
-        breaks = np.cumsum([len(s.points) for s in segments])[:-1]
+        postures = _joined([s.postures for s in segments])
+        forces = _joined([s.forces for s in segments])
+        breaks = tuple(np.cumsum([len(s.points) for s in segments])[:-1].tolist())
         rows: dict[str, Any] = {
             name: np.concatenate([getattr(s, name) for s in segments]) for name in ROWS
         }
-        return cls(
-            dt=segments[0].dt,
-            **rows,
-            breaks=tuple(int(k) for k in breaks),
-            postures=_joined([s.postures for s in segments]),
-            forces=_joined([s.forces for s in segments]),
-        )
+        return cls(segments[0].dt, **rows, breaks=breaks, postures=postures, forces=forces)
 
     @property
     def segments(self) -> list[Path]:
         """The segments, each as a path."""
-        ends = [0, *self.breaks, len(self.points)]
         found = []
-        for k, (first, last) in enumerate(pairwise(ends)):
-            rows = {name: getattr(self, name)[first:last] for name in ROWS}
-            found.append(Path(dt=self.dt, **rows, **self._of_segments(slice(k, k + 1))))
+        for k, (first, last) in enumerate(pairwise([0, *self.breaks, len(self.points)])):
+            rows = self._rows(slice(first, last)) | self._of_segments(slice(k, k + 1))
+            found.append(Path(self.dt, **rows))
         return found
+
+    def _rows(self, rows: slice) -> dict[str, Any]:
+        """Some rows of the fields that have one per sample."""
+        return {name: getattr(self, name)[rows] for name in ROWS}
 
     def _of_segments(self, rows: slice) -> dict[str, Any]:
         """The fields of SEGMENT_ROWS of some segments."""
@@ -94,12 +93,8 @@ class Path(Value):
     def truncated(self, count: int) -> Path:
         """The path's first `count` rows."""
         breaks = tuple(row for row in self.breaks if row < count)
-        return replace(
-            self,
-            **{name: getattr(self, name)[:count] for name in ROWS},
-            breaks=breaks,
-            **self._of_segments(slice(len(breaks) + 1)),
-        )
+        rows = self._rows(slice(count)) | self._of_segments(slice(len(breaks) + 1))
+        return replace(self, **rows, breaks=breaks)
 
     def resampled(self, dt: float, body: Body) -> Path:
         """The path at a period `dt`, s, a multiple of its own.
@@ -107,20 +102,12 @@ class Path(Value):
         Every segment keeps its first row and each row `dt` later; the faces are those of `body`,
         which may be another mesh of the same surface.
         """
-        stride, segments = round(dt / self.dt), []
+        segments = []
         for segment in self.segments:
-            points, poses = segment.points[::stride], segment.poses[::stride]
-            segments.append(
-                replace(
-                    segment,
-                    dt=dt,
-                    points=points,
-                    normals=segment.normals[::stride],
-                    poses=poses,
-                    twists=body_twists(poses, dt),
-                    faces=body.closest(points).face,
-                )
-            )
+            rows = segment._rows(slice(None, None, round(dt / self.dt)))
+            rows["twists"] = body_twists(rows["poses"], dt)
+            rows["faces"] = body.closest(rows["points"]).face
+            segments.append(replace(segment, dt=dt, **rows))
         return Path.concatenate(segments)
 
     @property
@@ -145,17 +132,12 @@ class Plan(Value, Card, Tabular):
     """The contacts to press with a carried indenter, see `contact_plan`; None: the body moves."""
 
     def __repr__(self) -> str:
-        path = self.path
-        if self.contacts is not None:
-            return (
-                f"<Plan: {len(path.points)} contacts to press, {1e3 * self.spacing:.4g} mm apart, "
-                f"{len(path.unreachable)} taxels left out>"
-            )
-        return (
-            f"<Plan: {len(path.breaks) + 1} segments, {path.dt * len(path.points):.4g} s of "
-            f"sliding, lanes {1e3 * self.spacing:.4g} mm apart, {len(path.unreachable)} taxels "
-            "left out>"
-        )
+        path, apart = self.path, f"{1e3 * self.spacing:.4g} mm apart"
+        what = f"{len(path.points)} contacts to press, {apart}"
+        if self.contacts is None:
+            sliding = f"{path.dt * len(path.points):.4g} s of sliding"
+            what = f"{len(path.breaks) + 1} segments, {sliding}, lanes {apart}"
+        return f"<Plan: {what}, {len(path.unreachable)} taxels left out>"
 
     def facts(self) -> dict[str, str]:
         """Segments or contacts, time, what is left out and why, for a notebook."""

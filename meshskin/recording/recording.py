@@ -285,7 +285,8 @@ class Recording(Value, Card):
             elif part != "motion":
                 raise RecordingError(
                     f"no recording at {path}: {file.name} is missing",
-                    remedy="check the path; a log may be contacts.csv and readings.csv in a folder",
+                    remedy="check the path; a log is contacts.csv and readings.csv in a folder, "
+                    "or a file and a map of it: meshskin init LOG, then --map",
                 )
         if len({header.get("recording_id") for header in headers.values()}) > 1:
             raise RecordingError(

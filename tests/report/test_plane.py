@@ -21,10 +21,10 @@ def test_the_plane_keeps_lengths_in_it_and_is_seen_from_outside(case: SimpleName
     assert np.allclose(plane.project(plane.origin + shift), [1.0, 2.0])
 
 
-def test_the_plane_without_normals_is_the_best_fitting_one() -> None:
+def test_the_plane_without_a_mean_normal_is_the_best_fitting_one() -> None:
     flat = np.random.default_rng(0).normal(size=(30, 3)) * [1.0, 1.0, 0.0]
     flat[4] = np.nan
-    plane = tangent_plane(flat)
+    plane = tangent_plane(flat, np.zeros_like(flat))
     assert np.allclose(np.abs(np.cross(*plane.axes)), [0, 0, 1])
     assert np.allclose(plane.origin, np.nanmean(flat, axis=0))
 

@@ -1,8 +1,10 @@
 """Winding numbers of points about a mesh.
 
-The border of a mesh is closed at infinity: every loop of border edges is extruded along a ray
-against the area that it bounds. A mesh so closed has integer winding numbers, 1 inside and 0
-outside; one whose normals point inward counts as if it were inverted.
+Every loop of border edges is closed, so that winding numbers are integers, 1 inside and 0 outside:
+that of a mesh that encloses a volume by triangles about the mean of the loop, that of a sheet at
+infinity, extruded along a ray against the area that it bounds. (Extruded, the border of one panel
+of a link ran through the other panels, whose fronts were then inside.) A mesh whose normals point
+inward counts as if it were inverted.
 
 Source: Barill, Dickson, Schmidt, Levin, Jacobson, "Fast winding numbers for soups and clouds", ACM
 Trans. Graphics 37 (2018). libigl has it, in C++; it takes triangle soups without closing borders.
@@ -47,12 +49,14 @@ class WindingNumber:
         a, b, c = np.swapaxes(triangles - triangles.reshape(-1, 3).mean(axis=0), 0, 1)
         volume = np.einsum("mc,mc->", a, np.cross(b, c)) / 6.0
         area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-        self.outward = -1 if volume < (0.0 if self.closed else -SHEET_VOLUME * area**1.5) else 1
+        least = 0.0 if self.closed else SHEET_VOLUME * area**1.5
+        self.outward = -1 if volume < -least else 1
         """-1 where the normals of the mesh point inward"""
-        if self.outward < 0:
-            faces = faces[:, ::-1]
-            self.border, self.direction, _ = _border(vertices, faces)
-        self.corners = np.ascontiguousarray(vertices[faces])
+        if abs(volume) > least:
+            self.border, self.direction = np.zeros((0, 2, 3)), np.zeros((0, 3))
+        else:
+            triangles = vertices[faces]
+        self.corners = np.ascontiguousarray(triangles[:, :: self.outward])
         self._nodes, self._leaves = _tree(self.corners)
 
     def at(self, points: Array) -> NDArray[np.int64]:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +22,13 @@ from ...core.se3 import (
     transform_points,
 )
 from ...estimation.data.resolve_belief import resolve_belief
+from ...geometry.mesh.triangles import Triangles
+from ...recording.recording import Recording
+from ...recording.skin_log import SkinLog
 from ...robot.link_meshes import MIN_ROD, LinkPoses, link_meshes, rod
 from ...robot.robot import Robot
-
-if TYPE_CHECKING:
-    from ...geometry.mesh.triangles import Triangles
-    from ...recording.recording import Recording
-    from ...recording.skin_log import SkinLog
-    from ...scene.belief import Belief
-    from ...scene.scene import Scene
+from ...scene.belief import Belief
+from ...scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -136,10 +133,6 @@ class Stage:
             semi_axes=semi_axes,
             indenter=transform(shortest_rotation([0.0, 0.0, 1.0], axis), centre),
         )
-
-    def world_in_body(self, row: int) -> Array:
-        """T_body_w (4, 4) at contact `row`; the identity where the motion is not known."""
-        return np.eye(4) if self.carrier is None else inverse(self.carrier.body[row])
 
 
 def _drawable(belief: Belief, recording: Recording) -> Belief:

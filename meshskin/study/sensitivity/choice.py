@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...core.deadline import REPORT_SECONDS, Deadline
 from ...core.errors import OutOfTime, ReachError, StudyError
 from ...core.progress import Progress
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
+from ...exploration.path import Path as ExplorationPath
 from ...exploration.plan import plan_exploration
 from ...scene.scene import Scene
 from .first_run import FirstRun, first_run
 from .pilot import pilot
 from .request import Pilot, Prediction, Request
-
-if TYPE_CHECKING:
-    from ...exploration.path import Path as ExplorationPath
 
 PUNCTUAL = 0.85
 """Part of the seconds asked for that a prediction may use: other work on the machine comes and

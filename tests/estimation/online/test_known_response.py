@@ -7,9 +7,9 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.errors import CalibrationError
+from meshskin.estimation.online.frames import RecordedFrames
 from meshskin.estimation.online.known_response import KnownResponse
 from meshskin.recording.recording import NOMINAL, Recording
-from meshskin.report.live.replay import Frames
 
 COUNTS = 1e-2
 """Counts per Pa."""
@@ -50,7 +50,7 @@ def replayed(raw):
     found, recording, _, _ = raw
     known = KnownResponse.of(found, recording)
     online = known.online()
-    frames = Frames(known.recording, online.ids, known.errors)
+    frames = RecordedFrames(known.recording, online.ids, known.errors)
     for begin in range(0, COUNT, 4):
         online.update(*frames.part(begin, begin + 4))
     online.settle()
@@ -67,7 +67,7 @@ def test_taxels_are_where_the_batch_estimate_puts_them(raw, replayed):
 def test_without_the_errors_of_the_forces_the_places_are_others(raw, replayed):
     found, (known, _) = raw[0], replayed
     online = known.online()
-    frames = Frames(known.recording, online.ids)
+    frames = RecordedFrames(known.recording, online.ids)
     online.update(*frames.part(0, COUNT))
     online.settle()
     apart = np.linalg.norm(online.provisional - found.positions, axis=1)
@@ -113,7 +113,7 @@ def past(noisy):
 def replay(known):
     """The online calibration of the contacts of a known response."""
     online = known.online()
-    frames = Frames(known.recording, online.ids, known.errors)
+    frames = RecordedFrames(known.recording, online.ids, known.errors)
     for begin in range(0, len(known.recording.points), 10):
         online.update(*frames.part(begin, min(begin + 10, len(known.recording.points))))
     online.settle()

@@ -130,16 +130,40 @@ def test_winding_numbers_of_many_nested_surfaces():
     np.testing.assert_array_equal(found, np.where(radius < 0.1, 48, 0))
 
 
-def test_holes_are_closed_far_away(each_way):
-    """Chimneys stand on a ball's holes, a well hangs below a dome, both to infinity."""
-    mesh = ball(subdivisions=3)
+def test_holes_of_a_body_are_closed_and_a_sheet_reaches_far(each_way):
+    """A ball's holes have lids; a well hangs below a shallow dome, to infinity."""
+    mesh = ball(subdivisions=5)
     cut = WindingNumber(mesh.vertices, mesh.faces[np.abs(mesh.triangles_center[:, 2]) < 0.09])
     assert not cut.closed
     points = [[0, 0, 0.0], [0.05, 0, 0.08], [0, 0, 3.0], [0, 0, -3.0], [0.2, 0, 0], [0.1, 0, 0.5]]
-    np.testing.assert_array_equal(cut.at(np.array(points)), [1, 1, 1, 1, 0, 0])
-    dome = WindingNumber(mesh.vertices, mesh.faces[mesh.triangles_center[:, 2] > 0.05])
+    np.testing.assert_array_equal(cut.at(np.array(points)), [1, 1, 0, 0, 0, 0])
+    dome = WindingNumber(mesh.vertices, mesh.faces[mesh.triangles_center[:, 2] > 0.096])
     points = [[0, 0, 0.08], [0, 0, -3.0], [0, 0, 0.12], [0.2, 0, 0.07], [0.2, 0, -1.0]]
     np.testing.assert_array_equal(dome.at(np.array(points)), [1, 1, 0, 0, 0])
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_panels_of_a_link_do_not_put_each_other_inside(tmp_path, turned):
+    """A ball whose lid is a part of its own, and a rib that runs through it: signs as of a ball.
+
+    The lid's border, closed at infinity, ran through the ball, and most of its front was inside.
+    """
+    mesh = ball(subdivisions=4)
+    lid = mesh.triangles_center[:, 2] > 0.06
+    rib = trimesh.creation.box((0.02, 0.02, 0.02))
+    rib.apply_translation((0.09, 0.001, 0.002))
+    parts = [mesh.submesh([rows], append=True) for rows in (lid, ~lid)]
+    parts[0].apply_scale(1.002)  # so that the borders stay apart
+    both = trimesh.util.concatenate([*parts, rib])
+    if turned:
+        both.invert()
+    body = loaded(both, tmp_path)
+    points = around(mesh, 0.01, 2000)
+    points = points[np.linalg.norm(points - [0.09, 0, 0], axis=1) > 0.03]
+    points = points[np.abs(points[:, 2] - 0.06) > 0.01]
+    inside = np.linalg.norm(points, axis=1) < np.where(points[:, 2] > 0.06, 0.1002, 0.1)
+    assert len(body.crossed)
+    assert wrong(body, points, inside != turned) == 0
 
 
 def test_every_soup_is_closed_to_whole_turns():
