@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,10 +17,11 @@ from ..core.errors import CalibrationError, warn_left_out
 from ..core.progress import Progress, Stage
 from ..core.provenance import digest, provenance
 from ..recording.recording import Recording
-from ..scene.belief import RAW
+from ..scene.belief import RAW, Belief
 from . import centroid, chart
 from .calibration import Calibration
 from .data.gather import gather, gather_or_learn
+from .data.measurements import Measurements
 from .joint import learned, maximum_likelihood
 from .joint.departures import MIN_SCORE
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
@@ -32,10 +32,6 @@ from .uncalibrated import uncalibrated
 from .uncertainty import observability
 from .uncertainty.contact_errors import systematic_covariance
 from .uncertainty.judge import judge
-
-if TYPE_CHECKING:
-    from ..scene.belief import Belief
-    from .data.measurements import Measurements
 
 UNTOUCHED = "never touched"
 CONSTANT = "its reading never changes"
@@ -78,7 +74,7 @@ class Estimation:
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         found, result = self._estimated(method, tolerance, iterations, stage=stage)
         begin = time.perf_counter()
-        verdict = judge(self.recording, self._near, found, result.departures)
+        verdict = judge(self.recording, self._near, found, result.departures, self.data)
         stage.end()
         judged = time.perf_counter() - begin
         more = {name: found.seconds[name] + judged for name in ("other", "total")}

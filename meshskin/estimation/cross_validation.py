@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,14 +22,11 @@ from ..core.errors import CalibrationError
 from ..core.progress import Progress, Stage
 from ..core.value import Value
 from ..recording.recording import Recording
-from ..scene.belief import RAW
+from ..scene.belief import RAW, Belief
 from .calibrate import calibrate
+from .calibration import Calibration
 from .data.gather import gather
 from .localization import CalibratedSkin
-
-if TYPE_CHECKING:
-    from ..scene.belief import Belief
-    from .calibration import Calibration
 
 BLOCK = 2.0
 """Length of a block, in reaches of a contact: no taxel is in reach of two contacts further apart

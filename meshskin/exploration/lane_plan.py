@@ -19,7 +19,6 @@ from ..robot import collision, posture
 from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
-from ..scene.settings import Exploration
 from .lanes import cover, spacing_for
 from .left_out import (
     NOT_COVERED,
@@ -57,10 +56,10 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
     ReachError where nothing can be explored.
     """
     stage = Stage(progress, "explore", 4)
-    exploration, dt = scene.exploration, scene.loop.dt
+    exploration = scene.exploration
     sites, spacing = scene.skin.positions, exploration.lane_spacing
     if exploration.contacts is not None:
-        pitch = exploration.speed * (scene.frame_steps * dt)
+        pitch = exploration.speed * (scene.frame_steps * scene.loop.dt)
         spacing = spacing_for(rig.sensing_radius, exploration.contacts, pitch)
     step = min(STEP, 0.8 * spacing)
     radius = region_radius(sites, exploration.margin, rig.sensing_radius)
@@ -70,7 +69,7 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
     stage.step()
     paths = contact_paths(rig, pieces, spacing, step)
     stage.step()
-    segments, unreached = _segments(rig, paths, exploration, dt)
+    segments, unreached = _segments(scene, rig, paths)
     blocked += unreached
     stage.step()
     left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
@@ -137,12 +136,12 @@ def region_radius(sites: Array, margin: float, sensing_radius: float) -> float:
 
 
 def _segments(
-    rig: ContactRig, paths: list[ContactPath], exploration: Exploration, dt: float
+    scene: Scene, rig: ContactRig, paths: list[ContactPath]
 ) -> tuple[list[Path], list[Blocked]]:
     """The segments along contact paths, and what an arm cannot reach."""
     if rig.arm is not None:
-        return _arm_segments(rig, paths, exploration, dt)
-    return [free_path(rig, path, exploration, dt) for path in paths], []
+        return _arm_segments(scene, rig, paths)
+    return [free_path(scene, rig, path) for path in paths], []
 
 
 def _press_lighter(
@@ -169,7 +168,7 @@ def _press_lighter(
             piece.take(run) for piece, at, free in parts for run in grown_runs(at, free, SHORT)
         ]
         paths = contact_paths(rig, pieces, spacing, step)
-        made, unreached = _segments(rig, paths, scene.exploration, scene.loop.dt)
+        made, unreached = _segments(scene, rig, paths)
         more = [*segments, *made], [*blocked, *unreached]
         still = still_left_out(scene.skin, rig.sensing_radius, *more, left_out)
         if len(still) < len(left_out):
@@ -179,7 +178,7 @@ def _press_lighter(
 
 
 def _arm_segments(
-    rig: ContactRig, paths: list[ContactPath], exploration: Exploration, dt: float
+    scene: Scene, rig: ContactRig, paths: list[ContactPath]
 ) -> tuple[list[Path], list[Blocked]]:
     """The segments along contact paths that the arm can follow, and what it cannot reach."""
     arm = rig.arm
@@ -205,7 +204,7 @@ def _arm_segments(
         path = paths[k].part(slice(own[0] - first[k], own[-1] + 1 - first[k]))
         spin = np.interp(own, known, chain.spin[begin:end])
         q = chain.q[begin + np.searchsorted(known, own, side="right") - 1]
-        parts = _split(rig, path, tangents[own], spin, q, exploration, dt)
+        parts = _split(scene, rig, path, tangents[own], spin, q)
         segments += parts
         if not parts:
             blocked.append((path.points, np.full(len(path), WINDING, dtype=object)))
@@ -213,23 +212,18 @@ def _arm_segments(
 
 
 def _split(
-    rig: ContactRig, path: ContactPath, tangents: Array, spin: Array, q: Array,
-    exploration: Exploration, dt: float,
-) -> list[Path]:  # fmt: skip
+    scene: Scene, rig: ContactRig, path: ContactPath, tangents: Array, spin: Array, q: Array
+) -> list[Path]:
     """The segment along a contact path, in halves where an endless joint of the chain winds up."""
     if len(path) < SHORT:
         return []
     try:
-        return [arm_path(rig, path, tangents, spin, q[0], exploration, dt)]
+        return [arm_path(scene, rig, path, tangents, spin, q[0])]
     except ReachError:
         middle = len(path) // 2
-    return [
-        segment
-        for half in (slice(0, middle), slice(middle, len(path)))
-        for segment in _split(
-            rig, path.part(half), tangents[half], spin[half], q[half], exploration, dt
-        )
-    ]
+    halves = slice(0, middle), slice(middle, len(path))
+    parts = (_split(scene, rig, path.part(h), tangents[h], spin[h], q[h]) for h in halves)
+    return [segment for part in parts for segment in part]
 
 
 def _sparse_nodes(

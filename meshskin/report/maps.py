@@ -220,7 +220,11 @@ def coverage(data: ReportData) -> Figure:
     least, most = (counts[touched].min(), counts[touched].max()) if touched.any() else (1.0, 1.0)
     discs.set_norm(LogNorm(least, max(most, 2 * least)))
     bar = theme.color_bar(figure, discs, axes, "readings of the taxel")
+    # less than a decade of 1, 2, 5 may have one tick: even steps then
+    even = () if most > 5 * least else np.unique(np.linspace(least, most, 5).round())
     theme.log_ticks(bar.ax.yaxis, (1, 2, 5), minor=False)
+    if len(even):
+        bar.set_ticks(even)
     missed = ~touched & drawn
     if missed.any():
         _ellipses(axes, xy[missed], diameter, facecolors="white", edgecolors=theme.WARNING)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.arrays import Array
+from ..core.arrays import Array, median_spacing
 
 MM = 1e3
 """Millimetres per metre."""
@@ -85,20 +85,10 @@ def tangent_plane(points: ArrayLike, normals: ArrayLike) -> Plane:
     return Plane(origin, np.stack([np.cross(up, normal), up]))
 
 
-def spacing(points: ArrayLike) -> float:
-    """Median distance (m) from finite points (n, 3) to their nearest neighbors; 0 for one point."""
-    from scipy.spatial import cKDTree
-
-    p = finite_rows(np.reshape(points, (-1, 3)))
-    if len(p) < 2:
-        return 0.0
-    return float(np.median(cKDTree(p).query(p, k=2)[0][:, 1]))
-
-
-def pitch(points: ArrayLike) -> float:
-    """Distance (m) between taxels at points (n, 3) that drawings go by: `spacing`, but not less
-    than LEAST_PITCH, where estimates coincide."""
-    return max(spacing(points), LEAST_PITCH)
+def pitch(points: Array) -> float:
+    """Distance (m) between taxels at points (n, 3) that drawings go by: `median_spacing`, but not
+    less than LEAST_PITCH, where estimates coincide."""
+    return float(np.fmax(median_spacing(points), LEAST_PITCH))
 
 
 def drawn_scale(lengths: Array, wanted: float) -> tuple[float, Array]:

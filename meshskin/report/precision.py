@@ -166,7 +166,7 @@ def accuracy_time(
     names = list(stages)[::-1]
     right.barh(names, [stages[name] for name in names], color=theme.ESTIMATE, height=0.6)
     right.tick_params(axis="y", length=0)
-    right.set(xlabel="seconds", title="Time of the stages")
+    right.set(xlabel="seconds", title="Time before the report")
     return figure
 
 

@@ -172,9 +172,8 @@ def view_3d(data: ReportData, transparent: bool) -> dict[str, Any]:
     if true is not None:
         traces += _true_taxels(names, true, between)
     traces.append(_estimated_taxels(names, poses, cov, true))
-    heading = (
-        "" if np.any(np.asarray(data.calibration.observed)[:, 5]) else " (heading: by convention)"
-    )
+    seen = np.any(np.asarray(data.calibration.observed)[:, 5])
+    heading = "" if seen else " (heading: by convention)"
     traces += frames(poses, FRAME_LENGTH * between, f"estimated frames{heading}")
     if (balls := ellipsoids(positions, cov, 0.3 * between)) is not None:
         traces.append(balls)

@@ -218,17 +218,15 @@ class ExplorationStateMachine:
         low, high = reference_poses(track.references[-1]), self._above(track.references[-1])
         poses = _blend(low, high, dt)
         if not simulator.loop.arm.holds_any_pose:
-            poses = self._held(poses)
+            # turned about the indenter's axis as the arm must
+            poses = simulator.loop.body_poses(
+                simulator.loop.follow(poses, simulator.state[: simulator.size])
+            )
         motion, self.phase = Track.through(poses, dt, simulator.face), LEAVE
         while len(motion):
             steps = simulator.advance(motion, LEAVE, track_normal=True)
             yield steps
             motion = motion[len(steps.time) :]
-
-    def _held(self, poses: Array) -> Array:
-        """The poses (k, 4, 4) turned about the indenter's axis as the arm must, from its joints."""
-        loop, q = self.simulator.loop, self.simulator.state[: self.simulator.size]
-        return loop.body_poses(loop.follow(poses, q))
 
     def _float(self, goal: Array) -> Iterator[Steps]:
         """Without an arm: up, as far as turning needs, and over to `goal` (4, 4), in the air.

@@ -148,6 +148,16 @@ def test_coverage_crosses_out_what_was_never_touched(case: SimpleNamespace) -> N
     assert "never touched" not in texts(maps.coverage(ReportData(found)))
 
 
+def test_few_readings_apart_have_ticks(case):
+    """90 to 170 readings have one of 1, 2, 5 in a decade."""
+    found = case.calibration()
+    counts = np.linspace(90, 170, len(found.ids)).astype(int)
+    figure = maps.coverage(ReportData(replace(found, readings=counts)))
+    bar = figure.axes[-1]
+    low, high = bar.get_ylim()
+    assert sum(low <= tick <= high for tick in bar.get_yticks()) >= 4
+
+
 def test_ellipses_have_the_axes_of_their_covariances() -> None:
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     sigma, heading = ellipse_axes([turn @ np.diag([9.0, 4.0]) @ turn.T, np.full((2, 2), np.nan)])

@@ -25,6 +25,10 @@ WORTHWHILE = 4.0
 measured and another run is made: measuring takes about twice as long as the first run."""
 
 
+PREDICTED = ("error_mm", "numerical_mm", "seconds", "processor_seconds")
+"""Fields of a prediction that the metrics hold."""
+
+
 @dataclass(frozen=True)
 class Choice:
     """The settings of a run, and what it is expected to take."""
@@ -88,26 +92,19 @@ def choose(
 
 def least(first: FirstRun, asked: str, why: str) -> Choice:
     """The first run as the run, which nothing was predicted for."""
-    record = {
-        "asked": asked,
-        "setting": f"{first.words}, because {why}",
-        "error_mm": None,
-        "numerical_mm": None,
-        "seconds": None,
-        "processor_seconds": None,
-        "readings": len(first.recording.pressure),
-    }
+    setting = f"{first.words}, because {why}"
+    record = {"asked": asked, "setting": setting, **dict.fromkeys(PREDICTED)}
+    record["readings"] = len(first.recording.pressure)
     return Choice(first.scene, first.path, NEWTON_TOLERANCE, first, record)
 
 
 def _best(scene: Scene, measured: Pilot, first: FirstRun, request: Request) -> Choice:
     """The best prediction whose path the arm can follow."""
     reason: ReachError | None = None
+    punctual = request
     if request.seconds is not None:
-        request_then = replace(request, seconds=PUNCTUAL * request.seconds)
-    else:
-        request_then = request
-    for prediction in measured.choose(request_then):
+        punctual = replace(request, seconds=PUNCTUAL * request.seconds)
+    for prediction in measured.choose(punctual):
         chosen = prediction.setting.scene(scene, prediction.setting.body(scene.body))
         try:
             path = plan_exploration(chosen).path
@@ -121,14 +118,10 @@ def _best(scene: Scene, measured: Pilot, first: FirstRun, request: Request) -> C
 
 
 def _record(measured: Pilot, prediction: Prediction, request: Request) -> dict[str, Any]:
-    lanes = measured.setting.lane_spacing / prediction.setting.lane_spacing
-    many = lanes * prediction.setting.rate / measured.setting.rate
+    readings = measured.readings * measured.growth(prediction.setting)
     return {
         "asked": request.words,
         "setting": prediction.setting.words(measured.base),
-        "error_mm": prediction.error_mm,
-        "numerical_mm": prediction.numerical_mm,
-        "seconds": prediction.seconds,
-        "processor_seconds": prediction.processor_seconds,
-        "readings": round(measured.readings * many),
+        **{name: getattr(prediction, name) for name in PREDICTED},
+        "readings": round(readings),
     }

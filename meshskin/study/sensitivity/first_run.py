@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import KDTree
 
+from ...core.arrays import median_spacing
 from ...core.deadline import PAGE_SECONDS, Deadline
 from ...core.progress import Progress, Stage
 from ...estimation.calibrate import Estimation
@@ -74,8 +74,8 @@ def least_seconds(scene: Scene) -> float:
     setting, radius = Setting.of(scene), scene.rig.sensing_radius
     lane = _widest_lanes(setting, radius).lane_spacing
     positions = scene.skin.positions
-    nearest = KDTree(positions).query(positions, 2)[0][:, 1]
-    area = len(positions) * np.sqrt(3) / 2 * np.median(nearest) ** 2  # of a hexagonal lattice
+    spacing = median_spacing(positions)
+    area = len(positions) * np.sqrt(3) / 2 * spacing**2  # of a hexagonal lattice
     disc = np.pi * (np.sqrt(area / np.pi) + radius) ** 2
     contacts = disc / (lane * scene.exploration.speed / setting.rate)
     return PER_CONTACT * float(contacts)

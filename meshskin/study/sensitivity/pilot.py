@@ -141,8 +141,7 @@ def _with_levels(measured: Pilot, scene: Scene, request: Request) -> Pilot:
     lanes = measured.setting.lane_spacing / best.lane_spacing
     if lanes > 2 * len(COARSER) * len(own):
         knobs[1] = worthwhile(own + loop_levels(reference, scene, COARSER))
-    frames = lanes * best.rate / measured.setting.rate
-    if frames > 2 * len(BATCHED):
+    if measured.growth(best) > 2 * len(BATCHED):
         knobs.append(worthwhile(contact_levels(reference, scene)))
     return replace(measured, knobs=tuple(knobs))
 
@@ -165,9 +164,8 @@ def with_long_recording(
     except StudyError:
         return measured
     once, each = measured.estimating
-    lanes = measured.setting.lane_spacing / best.setting.lane_spacing
     longest = min(
-        measured.readings * lanes * best.setting.rate / measured.setting.rate,
+        measured.readings * measured.growth(best.setting),
         REPEAT_SHARE * best.processor_seconds / max(each, 1e-9),
     )
     times = round(longest / max(measured.readings, 1))

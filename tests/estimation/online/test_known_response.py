@@ -150,3 +150,26 @@ def test_saturated_readings_of_a_past_are_lost(past):
     full = int(np.sum(recording.pressure >= end))
     assert full > 10
     assert np.isnan(known.recording.pressure).sum() == full
+
+
+def test_contacts_that_the_batch_left_out_are_left_out(raw):
+    """Three contacts whose readings are nonsense, which the batch did not use."""
+    found, recording, _, _ = raw
+    bad = [5, 20, 41]
+    errors, readings = found.contact_errors.copy(), recording.readings
+    errors[bad] = np.nan
+    at = np.isin(readings["time"].to_numpy(), recording.time[bad])
+    counts = np.where(at, 3.0 * recording.pressure.max(), recording.pressure)
+    column = readings.column_names.index("pressure")
+    spoilt = replace(recording, readings=readings.set_column(column, "pressure", [counts]))
+    known = KnownResponse.of(replace(found, contact_errors=errors), spoilt)
+    kept = np.setdiff1d(np.arange(COUNT), bad)
+    assert at.any()
+    np.testing.assert_array_equal(known.recording.time, recording.time[kept])
+    np.testing.assert_array_equal(known.errors, found.contact_errors[kept])
+    assert not np.isin(known.recording.readings["time"], recording.time[bad]).any()
+    online = replay(known)
+    assert online.status.used == len(kept)
+    apart = np.linalg.norm(online.positions - found.positions, axis=1)
+    assert (apart < 0.5 * found.position_sigma).all()
+    assert len(KnownResponse.of(found, spoilt).recording.time) == COUNT
