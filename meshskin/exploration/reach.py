@@ -27,6 +27,7 @@ from ..geometry.mesh.self_intersection import ray_scene
 from ..scene.scene import Scene
 from ..scene.settings import Law, Loop
 from ..skin.skin import Skin
+from .pressing import lighter_rigs, pressed_lighter
 
 POINTS = 1500
 """Points on the visible surface: a share of a half is known to 1.3 %."""
@@ -129,7 +130,8 @@ def reach(
 
 def contact_reasons(scene: Scene, radius: float, force: float | None = None) -> tuple[float, Array]:
     """The force, N, of an indenter of `radius`, m, and the reason (n,) at each taxel of a scene why
-    no contact is possible, "" where one is: as in a plan, but for the arm.
+    no contact is possible, at this force or a lighter one, "" where one is: as in a plan, but for
+    the arm.
 
     force, N: the scene's if None; less where its patch would be too wide on a plane.
     """
@@ -140,9 +142,14 @@ def contact_reasons(scene: Scene, radius: float, force: float | None = None) -> 
         law=replace(scene.law, force_reference=used),
     )
     try:
-        return used, other.rig.contact_reasons(scene.skin.positions, scene.skin.normals)
+        rig = other.rig
     except ContactError:
         return used, np.full(len(scene.skin), TOO_WIDE, dtype=object)
+    points, normals = scene.skin.positions, scene.skin.normals
+    reason = rig.contact_reasons(points, normals)
+    for _, lighter in lighter_rigs(other):
+        pressed_lighter(lighter, points, normals, reason)
+    return used, reason
 
 
 def other_contacts(scene: Scene) -> tuple[Reach, ...]:

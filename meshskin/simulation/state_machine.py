@@ -59,11 +59,14 @@ class ExplorationStateMachine:
         tracks: Sequence[Track],
         exploration: Exploration,
         postures: Array | None = None,
+        forces: Array | None = None,
     ) -> None:
         self.simulator, self.tracks, self.exploration = simulator, tracks, exploration
         self.postures = postures
         """Joint angles (places, n) at the first row of each track, taken before in the air; None:
         no arm."""
+        self.forces = forces
+        """Reference force (places,), N; None: that of the law."""
         self.place, self.row = 0, 0
         self.phase = APPROACH
         self.skips = 0
@@ -104,6 +107,8 @@ class ExplorationStateMachine:
                     self.skipped_rows += len(track)
                     continue
             last = track
+            if self.forces is not None:
+                simulator.force_reference = float(self.forces[place])
             while self.row < len(track):
                 try:
                     yield from self._make_contact(track)
@@ -160,7 +165,7 @@ class ExplorationStateMachine:
             steps = self._press(rest[:remaining], first)
             yield steps
             remaining -= len(steps.time)
-            if abs(self._force(steps)[-1] / loop.law.force_reference - 1.0) < SETTLED:
+            if abs(self._force(steps)[-1] / simulator.force_reference - 1.0) < SETTLED:
                 self.phase = HOLD
 
     def _press(self, rest: Track, first: int, until_touch: bool = False) -> Steps:
