@@ -110,7 +110,8 @@ def _within_modules(effects: RandomEffects) -> tuple[RandomEffects, bool]:
             return effects, True
         data = replace(effects.data, leaks=leaks)
         u, d = effects.unknowns, effects.deviations
-        effects = RandomEffects(data, effects.readings, u, d, effects.pattern, effects.stage)
+        readings, pattern = effects.selected
+        effects = RandomEffects(data, readings, u, d, pattern, effects.stage)
         if not effects.converge():
             return effects, False
     return effects, True
@@ -128,7 +129,8 @@ def _likelier_with_wider_forces(
     """The estimate from the unknowns u with WIDE_FORCES if it makes the readings more likely, else
     `effects`, as where it is singular, or its forces have no bounds."""
     d = replace(d, force=WIDE_FORCES)
-    wider = RandomEffects(effects.data, effects.readings, u, d, effects.pattern, effects.stage)
+    readings, pattern = effects.selected
+    wider = RandomEffects(effects.data, readings, u, d, pattern, effects.stage)
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             wider.converge()
@@ -183,5 +185,5 @@ def _extended(
         nuisance = (*p.nuisance_sigma, sigma * peak)
         p = replace(p, nuisance_names=(*p.nuisance_names, name), nuisance_sigma=nuisance)
         u = replace(u, nuisance=np.column_stack([u.nuisance, np.zeros(len(u.nuisance))]))
-    data = replace(effects.data, parameters=p)
-    return RandomEffects(data, effects.readings, u, deviations, effects.pattern, effects.stage)
+    data, (readings, pattern) = replace(effects.data, parameters=p), effects.selected
+    return RandomEffects(data, readings, u, deviations, pattern, effects.stage)

@@ -74,8 +74,11 @@ def estimate(data: Measurements, stage: Stage | None = None) -> EstimatorResult:
     stage: whose steps are counted. Raises CalibrationError if no taxel is determined, the estimate
     does not converge, or the taxels are not arranged as in the believed modules.
     """
+    again: tuple[Measurements, tuple[str, ...]] | EstimatorResult = data, ()
     try:
-        return _estimate(data, stage or Stage())
+        while isinstance(again, tuple):  # no recursion, which would hold the memory of all
+            again = _attempt(*again, stage or Stage())
+        return again
     except (SingularMatrixError, np.linalg.LinAlgError) as error:
         raise _unconverged(f"its normal equations are singular: {error}") from error
 
@@ -88,9 +91,12 @@ def _unconverged(value: str) -> CalibrationError:
     )
 
 
-def _estimate(data: Measurements, stage: Stage, excluded: tuple[str, ...] = ()) -> EstimatorResult:
-    """As `estimate`; SingularMatrixError where normal equations are singular. excluded: departures
-    that are not estimated, as without outlying readings they came out implausible."""
+def _attempt(
+    data: Measurements, excluded: tuple[str, ...], stage: Stage
+) -> EstimatorResult | tuple[Measurements, tuple[str, ...]]:
+    """As `estimate`, or the measurements and departures to exclude in another attempt;
+    SingularMatrixError where normal equations are singular. excluded: departures that are not
+    estimated, as without outlying readings they came out implausible."""
     clock, recorded = time.perf_counter(), data
     stuck = fault_detection.stuck_taxels(data)
     # readings far from the contacts, such as those that hysteresis leaves, do not tell the place
@@ -107,7 +113,7 @@ def _estimate(data: Measurements, stage: Stage, excluded: tuple[str, ...] = ()) 
         effects.converge()
         frozen = _frozen(effects, live, weight)
     if len(bad := displaced_contacts(effects)) and not len(recorded.misfitting):
-        return _estimate(recorded.without_contacts(bad), stage, excluded)
+        return recorded.without_contacts(bad), excluded
     for repeated in range(MAX_ROUNDS):
         estimator = reject_outliers(_frozen(effects, live, weight) if repeated else frozen)
         rivals = resolve_rivals(estimator)
@@ -121,7 +127,7 @@ def _estimate(data: Measurements, stage: Stage, excluded: tuple[str, ...] = ()) 
     if wild := [name for name in ELECTRONICS if not plausible(effects, name)]:
         if excluded:
             raise _unconverged(f"implausible {', '.join(wild)}")
-        return _estimate(recorded, stage, tuple(wild))
+        return recorded, tuple(wild)
     found = learned_result(effects, estimator, rivals, reasons, clock)
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)

@@ -25,7 +25,7 @@ from ..result import (
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
-from .contact_correlations import alike_errors, fewer_contacts, neighbour_correlation
+from .contact_correlations import AlikeErrors, alike_errors, fewer_contacts, neighbour_correlation
 from .creep import TIME
 from .electronics import WIDTH
 from .joint_estimator import JointEstimator
@@ -71,7 +71,8 @@ def learned_result(
     ).any():  # rounding, of a system near singular
         raise SingularMatrixError(int(np.argmin(variances.min(axis=1))))
     fit = _fit(effects)
-    response = learned_response(effects, shared)
+    alike = alike_errors(effects, covariance[:, :2, :2])
+    response = learned_response(effects, shared, alike)
     misfit = max(fit.reduced, 1.0) if fit.good is False else 1.0
     scale = max(misfit, fewer_contacts(response.contact_correlation), response.alike_contacts)
     points, rotations = u.parametrization.points(), u.parametrization.rotations()
@@ -106,7 +107,7 @@ def learned_result(
             LEARNED_RESPONSE,
             *((FALLING,) if data.falling else ()),
             *response.describe(),
-            *((CENSORING,) if (effects.readings.kind == CENSORED).any() else ()),
+            *((CENSORING,) if (effects.selected[0].kind == CENSORED).any() else ()),
             SURFACE,
             *((SHARED_ERRORS.format(errors.where),) if added.any() else ()),
             *((MISFITTING.format(len(data.misfitting)),) if len(data.misfitting) else ()),
@@ -214,9 +215,11 @@ def _not_separable(effects: RandomEffects, covariance: Array) -> tuple[str, ...]
     return (*weak, *undetermined_motion(parameters, covariance))
 
 
-def learned_response(effects: RandomEffects, covariance: Array) -> LearnedResponse:
+def learned_response(
+    effects: RandomEffects, covariance: Array, alike: AlikeErrors
+) -> LearnedResponse:
     """The learned profile beside the model's, and the learned response; covariance (ks, ks): of the
-    global parameters."""
+    global parameters; alike: errors that contacts share."""
     data, s = effects.data, effects.unknowns.s
     columns, middle = data.parameters.columns, int(np.argsort(data.force)[len(data.force) // 2])
     contacts = effects.linearized.at(s)
@@ -232,7 +235,6 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
     level = np.linspace(0.0, peak * float(np.max(model + correction)), SAMPLES)  # that occur
     c = columns["compression"].start
     nominal = data.nominal_peak * data.unit
-    alike = alike_errors(effects)
     return LearnedResponse(
         distance=u * radius,
         profile=peak * (model + correction),

@@ -8,7 +8,7 @@ module's pose is the parametrization's. Readings are sorted by taxel, and evalua
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,7 +29,7 @@ MISFIT_SIGMAS = 5.0
 """Pressure, relative to the noise, above which a reading out of reach is kept: noise does not
 explain it. With an unknown offset, above what the taxel reads in most contacts."""
 MIN_DENOMINATOR = 0.05
-"""Least denominator of a compressed reading: an expansion by 20 is no response of a sensor."""
+"""Least denominator of a compressed reading: an expansion by 20 is none of a sensor."""
 BLOCK = 8192
 """Readings of a block: their derivatives, some 100 B each, stay in the cache."""
 
@@ -56,8 +56,14 @@ class Readings:
     @classmethod
     def none(cls) -> Readings:
         """No readings of no taxels."""
-        empty = np.empty(0, dtype=int)
-        return cls(empty, empty, np.empty(0), empty, empty, np.empty(0), np.zeros(1, dtype=int))
+        rows, values = np.empty(0, dtype=int), np.empty(0)
+        return cls(rows, rows, values, rows, rows, values, np.zeros(1, dtype=int))
+
+    def without(self, left_out: np.ndarray) -> Readings:
+        """These readings without those `left_out` (k,) bool."""
+        starts = np.append(0, np.cumsum(~left_out))[self.starts]
+        each = {f.name: getattr(self, f.name)[~left_out] for f in fields(self)[:-1]}
+        return Readings(**each, starts=starts)
 
     def of(self, taxels: np.ndarray) -> np.ndarray:
         """Rows of the readings of some taxels, in their order."""
@@ -84,10 +90,9 @@ def select(
     (n,): of each taxel's silent readings.
     """
     order, starts = data.by_taxel
-    count = data.counts[live]
+    count, scale = data.counts[live], float(np.exp(log_radius))
     mine, taxel = order[ranges(starts[live], count)], np.repeat(np.arange(len(live)), count)
     silent_contact = silent_taxel = np.empty(0, dtype=int)
-    scale = float(np.exp(log_radius))
     contact = data.contact[mine]
     offset = points[taxel] - data.points[contact]
     inside = same_sheet(offset, data.normals[contact], normals[taxel])
@@ -159,13 +164,11 @@ class Likelihood:
         """Of the taxels `rows`, at points (r, 3), m, and nuisance parameters (r, .)."""
         out = Moments.zeros(len(rows), 3 + nuisance.shape[1] + self.shared)
         count = self.readings.starts[rows + 1] - self.readings.starts[rows]
-        ends = np.cumsum(count)
-        begin = 0
+        ends, begin = np.cumsum(count), 0
         while begin < len(rows):
             before = ends[begin] - count[begin]
             end = max(int(np.searchsorted(ends, before + BLOCK, side="right")), begin + 1)
-            part = np.arange(begin, end)
-            read = part[count[part] > 0]
+            read = begin + np.flatnonzero(count[begin:end])
             if len(read):
                 out.put(read, self._block(rows[read], points[read], nuisance[read], contacts))
             begin = end
@@ -177,7 +180,7 @@ class Likelihood:
 
     @property
     def shared(self) -> int:
-        """Global parameters that moments hold: none where contacts are given with their errors."""
+        """Global parameters in moments: none where contacts are given with their errors."""
         return len(self.data.parameters.sigma) if self.data.contact_errors is None else 0
 
     @property
@@ -216,11 +219,10 @@ class Likelihood:
         self, points: Array, nuisance: Array, contacts: Contacts
     ) -> Iterator[tuple[slice, Array, Array]]:
         """Blocks of readings, their mu and its derivatives (C, k)."""
-        read = self.readings
-        for begin in range(0, len(read.taxel), BLOCK):
+        for begin in range(0, len(self.readings.taxel), BLOCK):
             part = slice(begin, begin + BLOCK)
-            own = read.taxel[part]
-            yield part, *self.predict(read.contact[part], points[own], nuisance[own], contacts)
+            own, contact = self.readings.taxel[part], self.readings.contact[part]
+            yield part, *self.predict(contact, points[own], nuisance[own], contacts)
 
     def _block(
         self, rows: np.ndarray, points: Array, nuisance: Array, contacts: Contacts
@@ -231,9 +233,9 @@ class Likelihood:
         owner, starts = np.repeat(np.arange(len(rows)), count), np.cumsum(count) - count
         mu, jacobian = self.predict(read.contact[k], points[owner], nuisance[owner], contacts)
         jacobian = jacobian[: 3 + nuisance.shape[1] + self.shared]
-        level, weight = read.level[k] / self.data.sigma, read.weight[k]
-        cost, rate, curvature = costs(mu, level, read.kind[k])
-        square = np.where(read.kind[k] == OBSERVED, (mu - level) ** 2, 0.0)
+        level, weight, kind = read.level[k] / self.data.sigma, read.weight[k], read.kind[k]
+        cost, rate, curvature = costs(mu, level, kind)
+        square = np.where(kind == OBSERVED, (mu - level) ** 2, 0.0)
         hessian = np.empty((len(rows), len(jacobian), len(jacobian)))
         scaled = jacobian * (weight * curvature)
         for r in range(len(jacobian)):
@@ -278,10 +280,9 @@ class Likelihood:
             gain = nuisance[:, names.index("gain")]
             amplified = 1 + data.response_levels[0] * contacts.compression
             peak = peak * np.exp(amplified * gain)
+            jacobian[3 + names.index("gain")] = amplified * peak * mean
         mu = peak * mean
         jacobian[:3] = peak * by_point.T
-        for row, name in enumerate(names, 3):
-            jacobian[row] = amplified * mu if name == "gain" else 0.0
         by_shape = tuple(peak * by for by in by_shape)
         if contacts.moves is not None:  # a motion of the contact's frame is the taxel's, reversed
             wrench = np.concatenate([by_point, np.cross(offset, by_point)], 1) * peak[:, None]
@@ -290,9 +291,8 @@ class Likelihood:
             jacobian[first + row] = mu * contacts.log_peak[contact, row]
             for by, slope in zip(by_shape, contacts.shape, strict=True):
                 jacobian[first + row] += by * slope[contact, row]
-            if contacts.moves is not None:
-                moved = contacts.moves[contact, :, row]
-                jacobian[first + row] -= np.einsum("ki,ki->k", wrench, moved)
+            if (moves := contacts.moves) is not None:
+                jacobian[first + row] -= np.einsum("ki,ki->k", wrench, moves[contact, :, row])
         if features is not None and self.shared:
             jacobian[first + at.start : first + at.stop] = peak * features.T
         if contacts.by_load:
@@ -310,10 +310,10 @@ class Likelihood:
                 jacobian[row] += data.response_levels[0] * gain * mu
             if contacts.by_load:
                 level = data.response_levels[1]
-                load = contacts.load_errors[contact] / (1 + level * contacts.compression)
-                jacobian[row] += level * load * jacobian[last + 2]
+                load = level * contacts.load_errors[contact] / (1 + level * contacts.compression)
+                jacobian[row] += load * jacobian[last + 2]
                 if electronics is not None and lagging:
-                    jacobian[row] += level * load[electronics.source] * jacobian[last + 5]
+                    jacobian[row] += load[electronics.source] * jacobian[last + 5]
             mu = self._compressed(mu, jacobian, contacts.compression, first)
         if "offset_drift" in columns:
             at, drifts = columns["offset_drift"], data.drifts[contact] * data.nominal_peak

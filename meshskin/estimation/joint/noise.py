@@ -18,7 +18,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ..data.measurements import NOMINAL_NOISE, Measurements
-from ..data.pairs import silent_pairs
+from ..data.pairs import SILENT_SIGMAS, silent_pairs
 from ..uncertainty.goodness_of_fit import MIN_PAIRS
 from .fault_detection import MIN_SCALE, outliers
 from .joint_estimator import JointEstimator
@@ -67,6 +67,13 @@ def clear_of_limits(mu: Array, data: Measurements, scale: float | Array = 1.0) -
     margin = MIN_CLEARANCE * scale
     clear = mu > data.threshold / data.sigma + margin
     return np.asarray(clear & (mu < data.saturation / data.sigma - margin))
+
+
+def certain_silences(readings: Readings, mu: Array, data: Measurements, scale: Array) -> np.ndarray:
+    """Silent readings (k,) bool whose predictions mu (k,) are so far below the threshold that noise
+    of `scale` (k,) would not lift them over it: they do not inform (SILENT_SIGMAS)."""
+    clear = data.threshold / data.sigma - SILENT_SIGMAS * scale
+    return np.asarray((readings.kind == CENSORED) & (mu < clear))
 
 
 def with_estimated_noise(data: Measurements, estimator: JointEstimator) -> Measurements:

@@ -132,3 +132,15 @@ def costs(mu: Array, level: Array, kind: Array) -> tuple[Array, Array, Array]:
         cost[rows], slope, curvature[rows] = censored(side * residual[rows])
         rate[rows] = side * slope
     return cost, rate, curvature
+
+
+def robust_costs(mu: Array, level: Array, kind: Array, limit: float) -> tuple[Array, Array, Array]:
+    """As `costs`, but those of recorded readings grow linearly from residuals of `limit` on.
+
+    Source: Huber, "Robust estimation of a location parameter", Ann. Math. Stat. 35 (1964).
+    """
+    cost, rate, curvature = costs(mu, level, kind)
+    r = np.abs(mu - level)
+    far = (kind == OBSERVED) & (r > limit)
+    share = np.where(far, limit / np.maximum(r, limit), 1.0)
+    return np.where(far, limit * r - limit**2 / 2, cost), rate * share, curvature * share

@@ -32,10 +32,10 @@ from .deviations import Deviations
 from .electronics import Electronics
 from .lagged_system import LaggedSystem
 from .likelihood import BLOCK, Likelihood, Readings
-from .noise import clear_of_limits
+from .noise import certain_silences, clear_of_limits
 from .parametrization import Unknowns
 from .posterior import Posterior, Probes
-from .pressure import OBSERVED, costs
+from .pressure import OBSERVED, robust_costs
 from .reading_sums import CONTACT_SIZE
 from .variable_projection import LOOSE_SIGMA
 
@@ -50,10 +50,7 @@ MAX_RISE = 10.0
 is none of a linear cost's."""
 LEAST_FALL = 0.1
 """Largest part of that rise which a step back leaves: Gauss and Newton's leave about its square."""
-TRIALS = (
-    *((weight, 1.0) for weight in (0.0, 10.0, 1e3)),
-    *((1e3, part) for part in (0.4, 0.16, 0.064, 0.0256)),
-)
+TRIALS = (0.0, 1.0), (10.0, 1.0), *((1e3, 0.4**part) for part in range(5))
 """Trials of a step: weight of the global parameters' priors on their step, and part of the step."""
 RESTRAINED = 2
 """The trial that the first step begins with: far from the optimum, global parameters would go along
@@ -92,27 +89,38 @@ class RandomEffects:
         self.data, self.readings, self.stage = data, readings, stage or Stage()
         self.likelihood = Likelihood(data, readings)
         self.pattern = pattern or CouplingPattern(readings, len(data.points))
+        self.selected: tuple[Readings, CouplingPattern | None] = readings, self.pattern
+        """All readings, those that are left out on the way, too, and their pattern while in use."""
         self.size = 2 + unknowns.nuisance.shape[1]
         """Unknowns of a taxel: two coordinates in its chart, ln gain, offset, and drift if any."""
         self.probes = Probes(readings, len(data.points), self.size)
-        points = unknowns.parametrization.points()
+        points, k = unknowns.parametrization.points(), len(readings.taxel)
         shown = set(ELECTRONICS) & set(data.parameters.names)
         self.electronics = Electronics(data, readings, points) if shown else None
-        self.linearized = LinearizedContacts(data, unknowns.s)
-        self.deviations, self.restraint, self.last_decrease = deviations, RESTRAINED, np.inf
+        self.linearized, self.deviations = LinearizedContacts(data, unknowns.s), deviations
+        self.restraint, self.last_decrease, self.iterates = RESTRAINED, np.inf, [points]
         self.crossed: tuple[Unknowns, float, float] | None = None
         """Where steps left a curved valley, the cost there, and its rise; None if none did."""
         self.noise_known = data.belief.noise_sigma is not None
-        self.leverages = np.zeros(len(readings.taxel))
-        self.iterates = [points]
-        width = self.size + len(unknowns.s) + CONTACT_SIZE
-        self.mu = np.empty(len(readings.taxel))
-        self.jacobian = np.empty((len(readings.taxel), width))
-        self.lag, self.rests_on = np.zeros((len(readings.taxel), CONTACT_SIZE)), readings.contact
-        self.spread = np.ones(len(readings.taxel))
+        self.mu, self.leverages, self.spread = np.empty(k), np.zeros(k), np.ones(k)
+        self.jacobian = np.empty((k, self.size + len(unknowns.s) + CONTACT_SIZE))
+        self.lag, self.rests_on = np.zeros((k, CONTACT_SIZE)), readings.contact
         self._made, self._made_at = dict[str, Any](), (unknowns, deviations, self.mu)
         self.move(unknowns)
         self.spread = self.deviations.noise_of(self.mu)
+
+    def _leave_out_certain_silences(self) -> None:
+        """Leave out silent readings that do not inform, where no reading depends on others."""
+        certain = certain_silences(self.readings, self.mu, self.data, self.spread)
+        if self.electronics or not certain.any():
+            return
+        self.selected = self.readings, None
+        self.readings = readings = self.readings.without(certain)
+        self.likelihood = Likelihood(self.data, readings)
+        self.pattern = CouplingPattern(readings, len(self.data.points))
+        self.probes = Probes(readings, len(self.data.points), self.size)
+        for name in ("mu", "leverages", "spread", "jacobian", "lag", "rests_on"):
+            setattr(self, name, getattr(self, name)[~certain])
 
     @property
     def prior(self) -> tuple[Array, Array, Array]:
@@ -155,12 +163,8 @@ class RandomEffects:
         for begin in range(0, count, size):
             rows = slice(begin, begin + size)
             own = readings.taxel[rows]
-            yield (
-                rows,
-                *self.likelihood.predict(
-                    readings.contact[rows], points[own], u.nuisance[own], contacts, by
-                ),
-            )
+            at = readings.contact[rows]
+            yield rows, *self.likelihood.predict(at, points[own], u.nuisance[own], contacts, by)
 
     def fitted(self) -> FittedReadings:
         """The readings at the present values."""
@@ -197,13 +201,8 @@ class RandomEffects:
         """Cost (k,), its derivative and its curvature in mu, Huber's beyond HUBER."""
         readings, spread = self.readings, self.spread
         level = readings.level / self.data.sigma / spread
-        cost, rate, curvature = costs(self.mu / spread, level, readings.kind)
-        r = np.abs(self.mu / spread - level)
-        far = (readings.kind == OBSERVED) & (r > HUBER)
-        cost = np.where(far, HUBER * r - HUBER**2 / 2, cost)
-        share = np.where(far, HUBER / np.maximum(r, HUBER), 1.0)
-        weight = readings.weight
-        return weight * cost, weight * rate * share, weight * curvature * share
+        found = robust_costs(self.mu / spread, level, readings.kind, HUBER)
+        return found[0] * readings.weight, found[1] * readings.weight, found[2] * readings.weight
 
     def _once(self, make: Callable[[], T]) -> T:
         """What `make` gives at the present values, made once."""
@@ -294,12 +293,14 @@ class RandomEffects:
             (move, posterior), gain = self.step(settled), np.inf
             if posterior is not None:
                 gain = self.update_variances(posterior)
-                settled = np.inf  # from here on a decrease follows from the change of variances
             elif iteration < 2 and self.crossed is None:  # effects may take the noise, too
                 grown = self._with_noise(self.deviations, 1)
                 self.deviations = max(self.deviations, grown, key=lambda d: d.noise)
             if self.crossed is None:
                 self.spread = self.deviations.noise_of(self.mu)
+            if posterior is not None and np.isfinite(settled):
+                settled = np.inf  # from here on a decrease follows from the change of variances
+                self._leave_out_certain_silences()
             self.iterates.append(self.unknowns.parametrization.points())
             if move < MOVE_TOLERANCE and gain < TOLERANCE:
                 return True
@@ -342,8 +343,7 @@ class RandomEffects:
 
     def _with_noise(self, d: Deviations, parts: int) -> Deviations:
         """Deviations with the constant part of the noise from the residuals, or both `parts`."""
-        clear = self.clear()
-        if self.noise_known or not clear.any():
+        if self.noise_known or not (clear := self.clear()).any():
             return d
         level = self.readings.level[clear] / self.data.sigma
         r2 = np.minimum(np.abs(self.mu[clear] - level), HUBER * self.spread[clear]) ** 2

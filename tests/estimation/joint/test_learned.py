@@ -383,3 +383,24 @@ def test_a_skin_of_uneven_stiffness_is_named(uneven):
     named = [reason for reason in found.verdict.reasons if "errors of forces are alike" in reason]
     assert len(named) == uneven
     assert (found.response.alike_contacts > 1.0) == uneven
+
+
+def test_silences_that_are_left_out_do_not_inform(monkeypatch):
+    """A threshold of six times the noise: some silent taxels at the rim of a patch inform."""
+    log, counts = recording(*world(hertz, noise=0.005)), []
+    leave_out = "_leave_out_certain_silences"
+    original = getattr(random_effects.RandomEffects, leave_out)
+
+    def counted(effects):
+        counts.append(len(effects.mu))
+        original(effects)
+        counts.append(len(effects.mu))
+
+    believed = belief(contact="learned", threshold=0.03 * PEAK)
+    monkeypatch.setattr(random_effects.RandomEffects, leave_out, counted)
+    found = calibrate(log, believed)
+    monkeypatch.setattr(random_effects.RandomEffects, leave_out, lambda effects: None)
+    every = calibrate(log, believed)
+    assert counts[1] < 0.97 * counts[0]
+    moved = np.linalg.norm(found.positions - every.positions, axis=1) / every.position_sigma
+    assert np.sqrt(np.mean(moved**2)) < 2 * random_effects.MOVE_TOLERANCE  # that of both estimates
