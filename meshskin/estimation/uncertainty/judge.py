@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...contact.disc import disc_mean
 from ...core.arrays import Array
 from ...recording.recording import JOINT_ANGLES
 from ...scene.belief import RAW
 from ..data import delay
-from ..data.global_parameters import ELECTRONICS, LEARNED, MIN_KEPT, SIZES, declared_parameters
+from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_parameters
 from ..data.unit_checks import angles
 from ..joint.contact_correlations import MAX_CORRELATION
 from ..joint.departures import MIN_SCORE
@@ -93,7 +94,7 @@ def judge(
         lambda: verdict.force_offset(data, calibration),
         lambda: verdict.alike(calibration),
         lambda: verdict.few_readings(calibration),
-        lambda: verdict.profile(calibration),
+        lambda: verdict.profile(data, calibration),
         lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
         lambda: _faults(calibration),
@@ -194,12 +195,16 @@ def _modulus(data: Measurements, calibration: Calibration) -> list[Finding]:
 
 
 def _scale(data: Measurements, calibration: Calibration) -> list[Finding]:
-    """The scale of pressures that a learned response mends."""
-    value, sigma = calibration.unknowns.get("scale", (0.0, 1.0))
-    if calibration.response is not None:  # the scale is that of readings at the typical level
-        compression = calibration.unknowns.get("compression", (0.0, 0.0))[0]
-        value -= np.log(max(1 - calibration.response.levels[0] * compression, MIN_KEPT))
-    if data.belief.readings == RAW or abs(value) < max(np.log(MAX_SCALE), PRIOR_SIGMAS * sigma):
+    """The scale of pressures that a learned response mends: the largest reading of the profile
+    against that of the nominal contact model."""
+    response = calibration.response
+    if response is None or data.belief.readings == RAW:
+        return []
+    top = int(np.argmax(response.profile))
+    reading = np.interp(response.profile[top], response.level, response.reading)
+    believed = data.nominal_peak * disc_mean(0.0, data.disc / float(np.median(data.radii)))
+    value, sigma = np.log(reading / believed), response.profile_sigma[top] / response.profile[top]
+    if abs(value) < max(np.log(MAX_SCALE), PRIOR_SIGMAS * sigma):
         return []
     words = (
         f"the pressures are {np.exp(value):.2g} times those of the contact model (limit: a factor "

@@ -177,12 +177,16 @@ def few_readings(calibration: Calibration) -> list[Finding]:
     return [(DOUBT, words)]
 
 
-def profile(calibration: Calibration) -> list[Finding]:
-    """A learned profile that rises with the distance from the contact point: no contact's does."""
+def profile(data: Measurements, calibration: Calibration) -> list[Finding]:
+    """A learned profile that rises with the distance from the contact point: no contact's does.
+
+    Below the threshold nothing is read: what the profile does there is not seen.
+    """
     response = calibration.response
     if response is None:
         return []
-    value, sigma = response.profile, response.profile_sigma
+    value = np.maximum(response.profile, response.unit * data.threshold)
+    sigma = response.profile_sigma
     lowest = np.array([int(np.argmin(value[: k + 1])) for k in range(len(value))])
     rise = value - value[lowest] - RISE_SIGMAS * np.hypot(sigma, sigma[lowest])
     k = int(np.argmax(rise))
