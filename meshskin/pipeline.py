@@ -36,7 +36,6 @@ from .estimation.demonstration import Demonstration, demonstrate
 from .estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from .estimation.uncertainty import metrics as truth
 from .recording.recording import Recording
-from .scene.belief import Belief
 from .scene.scene import Scene
 from .simulation.response import ForceResponse, describe_departure, force_response
 from .simulation.simulate import simulate
@@ -44,6 +43,7 @@ from .simulation.simulate import simulate
 if TYPE_CHECKING:
     from .study.sensitivity.budget import BudgetReport
     from .study.sensitivity.choice import Choice
+    from .study.sensitivity.first_run import FirstRun
     from .study.sensitivity.request import Request
 
 RESULTS = (
@@ -81,7 +81,7 @@ def run(
     request: Request | None = None,
     budget: float | None = None,
     watch: Callable[[Scene, Recording, Calibration], None] | None = None,
-    timer: StageTimer | None = None,
+    began: tuple[float, float] | None = None,
 ) -> Result:
     """Simulate, calibrate and report a scene; write all files into `folder`.
 
@@ -90,18 +90,20 @@ def run(
     figures that do not fit are left out and named, and where the chosen run does not fit, the
     pilot's is the result. budget: taxel error, m, that may be neglected, in place of the scene's
     own: `ms.budget` then chooses the effects. watch: called once the recording is calibrated; its
-    time counts for no stage. timer: started before, so that its time counts, too. Raises StudyError
-    for a time that even the pilot run does not fit in, where it can before that run, and other
-    MeshskinErrors that name the value, the limit and the remedy.
+    time counts for no stage. began: wall and processor time, s, of an earlier begin. Raises
+    StudyError for a time that even the pilot run does not fit in, where it can before that run, and
+    other MeshskinErrors that name the value, the limit and the remedy.
     """
+    from .report.data import ReportData
+    from .report.page import draw
     from .study.sensitivity.budget import budget as apply_budget
     from .study.sensitivity.choice import choose
     from .study.sensitivity.first_run import least_seconds
 
     check_integer("seed", seed, least=0)
-    folder, timer = Path(folder), timer or StageTimer()
+    folder, timer = Path(folder), StageTimer()
     asked = math.inf if request is None or request.seconds is None else request.seconds
-    deadline = Deadline(asked, timer.start)
+    deadline = Deadline(asked) if began is None else Deadline(asked, began)
     check_run_seconds(asked, deadline.least(LEAST_SECONDS - IMPORT_SECONDS))
     with timer.stage("load"):
         Stage(progress, "plan")  # goes on, and ends, in `simulate`
@@ -120,23 +122,25 @@ def run(
     if request is not None:
         with timer.stage("pilot"):
             choice = choose(scene, request, METHODS, seed, deadline, progress)
-    done = None
+    done: _Calibrated | FirstRun | None = None
     if choice is None or choice.measured is not None:
         with suppress(OutOfTime):
             done = _simulated(scene, choice, decided, folder, seed, deadline, progress, timer)
     if done is None:
         assert choice is not None  # without a request there is no deadline
         choice = choice.without_finer("the chosen run did not fit")
-        done = _first(choice, folder)
-    scene, recording, calibration = done.scene, done.recording, done.calibration
+        done = choice.first
+        done.recording.save(folder / "recording")
+        remove_results(folder)
+    scene, recording, calibration = done.scene, done.estimation.recording, done.calibration
     calibration.save(folder / "calibration")
     if watch is not None:
         watched = Stage(progress, "live")
         watch(scene, recording, calibration)
         watched.end()
     with timer.stage("compare"):
-        seconds = (lambda _: 0.0) if choice is None else choice.seconds
-        comparison = compare_methods(done.estimation, progress, deadline, REPORT_SECONDS, seconds)
+        expected = (lambda _: 0.0) if choice is None else choice.seconds
+        comparison = compare_methods(done.estimation, progress, deadline, REPORT_SECONDS, expected)
         demonstration = None
         # where taxels share too few contacts, or the time is used up
         with suppress(CalibrationError, GraphError, OutOfTime):
@@ -144,7 +148,7 @@ def run(
             demonstration = demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
     with timer.stage("metrics"):
         force = _force(recording, scene)
-        metrics = _assess(scene, done.belief, recording, calibration, force, demonstration)
+        metrics = _assess(scene, done.estimation, calibration, force, demonstration)
         metrics |= comparison.errors(scene.skin)
         metrics["worse_than_centroid"] = worse_than_centroid(metrics)
         if decided is not None:
@@ -155,23 +159,26 @@ def run(
             metrics["promise"] = choice.record
         own = Path(name).suffix == ".toml"
         metrics["inputs"] = {"scene": str(Path(name).resolve() if own else name), "seed": seed}
-    result = Result(
-        scene, recording, calibration, comparison.found, demonstration, force, metrics, decided
-    )
     with timer.stage("report"):
-        left_out = _write_report(
-            result, folder, seed, timer.seconds, deadline.hook(progress, FIGURE_SECONDS)
-        )
-        metrics["figures_left_out"] = left_out
+        facts = provenance(scene=scene.name, seed=seed)
+        data = ReportData(
+            calibration, recording, scene.skin, comparison.found, demonstration, metrics,
+            timer.seconds, facts, scene.body,
+        )  # fmt: skip
+        hook = deadline.hook(progress, FIGURE_SECONDS)
+        metrics["figures_left_out"] = draw(folder / "report.html", data, hook)[1]
     if choice is not None:
+        seconds, processor = deadline.spent
         choice.record["came_to"] = {
             "error_mm": metrics["position_error_mm"]["mean"],
-            "seconds": deadline.spent[0],
-            "processor_seconds": timer.processor,
+            "seconds": seconds,
+            "processor_seconds": processor,
         }
     metrics["seconds"] = {k: round(v, 4) for k, v in timer.seconds.items()}
     write_json(folder / "metrics.json", metrics)
-    return result
+    return Result(
+        scene, recording, calibration, comparison.found, demonstration, force, metrics, decided
+    )
 
 
 @dataclass(frozen=True)
@@ -179,8 +186,6 @@ class _Calibrated:
     """A scene that was simulated and calibrated."""
 
     scene: Scene
-    belief: Belief
-    recording: Recording
     estimation: Estimation
     calibration: Calibration
 
@@ -216,20 +221,9 @@ def _simulated(
     with timer.stage("calibrate"):
         belief = scene.belief() if decided is None else decided.belief
         tolerance = tolerance if decided is None else decided.tolerance
-        estimation = Estimation(recording, belief)
-        calibration = estimation.calibrate(
-            tolerance=tolerance, progress=deadline.hook(progress, REPORT_SECONDS)
-        )
-    return _Calibrated(scene, belief, recording, estimation, calibration)
-
-
-def _first(choice: Choice, folder: Path) -> _Calibrated:
-    """The first run of a request as the result."""
-    first, belief = choice.first, choice.first.scene.belief()
-    first.recording.save(folder / "recording")
-    remove_results(folder)
-    estimation = Estimation(first.recording, belief)
-    return _Calibrated(first.scene, belief, first.recording, estimation, first.calibration)
+        estimation, hook = Estimation(recording, belief), deadline.hook(progress, REPORT_SECONDS)
+        calibration = estimation.calibrate(tolerance=tolerance, progress=hook)
+    return _Calibrated(scene, estimation, calibration)
 
 
 def _force(recording: Recording, scene: Scene) -> ForceResponse:
@@ -247,13 +241,13 @@ def _force(recording: Recording, scene: Scene) -> ForceResponse:
 
 def _assess(
     scene: Scene,
-    belief: Belief,
-    recording: Recording,
+    estimation: Estimation,
     calibration: Calibration,
     force: ForceResponse,
     demonstration: Demonstration | None,
 ) -> dict[str, Any]:
     """The metrics of the joint estimate against the truth, and of the force."""
+    recording, belief = estimation.recording, estimation.belief
     motion, skin = recording.motion, scene.skin
     located = np.isfinite(calibration.positions).all(axis=1)
     return {
@@ -296,28 +290,3 @@ def _force_metrics(force: ForceResponse, departure: str) -> dict[str, Any]:
         "disturbance": force.disturbance,
         "lost_contact_steps": force.lost,
     }
-
-
-def _write_report(
-    result: Result,
-    folder: Path,
-    seed: int,
-    seconds: dict[str, float],
-    progress: Progress,
-) -> list[str]:
-    """Write the report page and the figures; returns the names of those left out."""
-    from .report.data import ReportData
-    from .report.page import draw
-
-    data = ReportData(
-        result.calibration,
-        result.recording,
-        result.scene.skin,
-        result.comparisons,
-        result.demonstration,
-        result.metrics,
-        seconds,
-        provenance(scene=result.scene.name, seed=seed),
-        result.scene.body,
-    )
-    return draw(folder / "report.html", data, progress)[1]

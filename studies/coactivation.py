@@ -151,11 +151,12 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
     parser.add_argument("--out", type=Path, help="folder of the figure")
     parser.add_argument("--data", type=Path, default=os.environ.get("MESHSKIN_DATA", "data"))
     parser.add_argument("--levels", action="store_true")
-    parser.add_argument("--scenes", nargs="+", choices=scenes(), default=list(scenes()))
+    parser.add_argument("--scenes", nargs="*", choices=scenes(), default=list(scenes()))
     options = parser.parse_args(arguments)
     found = {"scenes": of_scenes(options.scenes)}
-    table("scene (mm)", found["scenes"])
-    if options.levels:
+    if options.scenes:
+        table("scene (mm)", found["scenes"])
+    if options.levels and options.scenes:
         found["eight levels"] = with_levels(8, lambda: of_scenes(options.scenes))
         table("eight levels (mm)", found["eight levels"])
     folder = options.data / "icub_torso_touches"

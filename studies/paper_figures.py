@@ -23,16 +23,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import paper_noise
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 import meshskin as ms
-from meshskin.estimation import demonstration, paper_pipeline
+from meshskin.estimation import demonstration
 from meshskin.estimation.calibrate import Estimation
 from meshskin.estimation.uncertainty import metrics
 from meshskin.report import curves, maps, theme
 from meshskin.report.data import ReportData
+from meshskin.simulation.response import force_response
 
 POSE_NOISE = np.array([0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0]) * 1e-3
 """Noise of the poses, m, of figure 9, left."""
@@ -72,7 +74,9 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     calibration = ms.calibrate(recording, belief=scene.belief())
     assert recording.motion is not None
     time, force = (recording.motion.column(c).to_numpy() for c in ("time", "force"))
-    theme.save(curves.force(time, force, scene.law.force_reference), options.out, "fig4")
+    reference, phase = scene.law.force_reference, recording.motion.column("phase").to_pylist()
+    settling = force_response(time, force, reference, phase).settling
+    theme.save(curves.force(time, force, reference, settling), options.out, "fig4")
     shown = demonstration.demonstrate(scene.skin.poses, scene.skin.ids, recording)
     data = ReportData(calibration, truth=scene.skin, demonstration=shown)
     assert data.iterations is not None
@@ -82,7 +86,7 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     theme.save_panels(iterations, options.out, ("fig6", "fig7", "fig8"))
 
     pairs = demonstration.coactive_pairs(recording, scene.skin.ids)
-    swept = demonstration.noise_sweep(scene.skin.poses, pairs, LEVELS, seeds)
+    swept = paper_noise.noise_sweep(scene.skin.poses, pairs, LEVELS, seeds)
     initial, final = swept.initial.mean(axis=1), np.nanmean(swept.final, axis=1)
     noisy = pose_noise(scene, seeds)
     theme.save(figure_9(noisy, initial, swept.final), options.out, "fig9")
@@ -92,7 +96,7 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     print(f"fig. 5: mean error {ideal['mean']:.2g} mm from ideal data")
     print(f"fig. 8: mean error {1e3 * shown.mean_error:.3f} mm from 1 mm displacements")
     print(f"fig. 9, left: {seeds} seeds a level, noise on the poses; mean errors in mm")
-    print("  noise   start" + "".join(f"  after {k:4d}" for k in paper_pipeline.ITERATIONS))
+    print("  noise   start" + "".join(f"  after {k:4d}" for k in paper_noise.ITERATIONS))
     for sigma, a, row in zip(noisy.sigmas, noisy.initial, noisy.relaxed, strict=True):
         after = "".join(f"{1e3 * x:12.3f}" for x in row.mean(axis=0))
         print(f"  {1e3 * sigma:5.2f}{1e3 * a.mean():8.3f}{after}")
@@ -112,17 +116,17 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     }
 
 
-def pose_noise(scene: ms.Scene, seeds: int) -> paper_pipeline.NoisyPoses:
+def pose_noise(scene: ms.Scene, seeds: int) -> paper_noise.NoisyPoses:
     """Errors over POSE_NOISE, from ideal readings of points."""
     scene = scene.with_(skin=ms.Skin(scene.skin.poses, scene.skin.ids, POINT))
     recording = ms.simulate(scene)
     data = Estimation(recording, scene.belief()).data
     pairs = demonstration.coactive_pairs(recording, scene.skin.ids)
-    return paper_pipeline.noisy_poses(data, scene.skin.poses, pairs, POSE_NOISE.tolist(), seeds)
+    return paper_noise.noisy_poses(data, scene.skin.poses, pairs, POSE_NOISE.tolist(), seeds)
 
 
 @theme.styled
-def figure_9(noisy: paper_pipeline.NoisyPoses, initial: ArrayLike, final: ArrayLike) -> Figure:
+def figure_9(noisy: paper_noise.NoisyPoses, initial: ArrayLike, final: ArrayLike) -> Figure:
     """Fig. 9: `after_iterations`, and beside it `initial_error`."""
     figure = theme.new_figure(12.4, 4.4)
     after_iterations(theme.add_axes(figure, 0.65, 0.6, 5.3, 3.45), noisy)
@@ -130,13 +134,13 @@ def figure_9(noisy: paper_pipeline.NoisyPoses, initial: ArrayLike, final: ArrayL
     return figure
 
 
-def after_iterations(axes: Axes, noisy: paper_pipeline.NoisyPoses) -> None:
+def after_iterations(axes: Axes, noisy: paper_noise.NoisyPoses) -> None:
     """Mean errors over those of the trilaterated start, after each number of iterations."""
     start, mean = 1e3 * noisy.initial.mean(axis=1), 1e3 * noisy.relaxed.mean(axis=1)
     limit = 1.04 * float(start.max())
     axes.plot([0, limit], [0, limit], color=theme.MUTED, lw=0.9, ls=":", label="no improvement")
     draw_claims(axes, PAPER_CLAIMS, limit)
-    for colour, count, y in zip(theme.PALETTE, paper_pipeline.ITERATIONS, mean.T, strict=False):
+    for colour, count, y in zip(theme.PALETTE, paper_noise.ITERATIONS, mean.T, strict=False):
         words = f"after {count} iteration{'s' if count > 1 else ''}"
         axes.plot(start, y, "o-", color=colour, ms=4, lw=1.4, label=words)
     axes.set(xlim=(0, limit), ylim=(0, 1.3 * limit))

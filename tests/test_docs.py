@@ -4,6 +4,7 @@
 """
 
 import os
+import re
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -22,11 +23,11 @@ pytestmark = pytest.mark.docs
 
 
 def sphinx(builder: str, out: Path) -> subprocess.CompletedProcess:
-    """Run a builder of Sphinx, warnings as errors."""
+    """Run a builder of Sphinx, warnings as errors; builders with one `out` share what they read."""
     pytest.importorskip("sphinx", reason="pip install meshskin[docs]")
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-b", builder]
     return subprocess.run(
-        [*command, "docs", out / builder],
+        [*command, "-d", out / "doctrees", "docs", out / builder],
         cwd=ROOT,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
@@ -96,6 +97,7 @@ def test_the_reference_has_every_public_name_effect_and_command(site):
         assert f"meshskin {module.__name__.rpartition('.')[2]}<" in commands
 
 
-def test_the_examples_of_the_documentation_run(tmp_path):
-    done = sphinx("doctest", tmp_path)
+def test_the_examples_of_the_documentation_run(site):
+    done = sphinx("doctest", site.parent)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+    assert int(re.search(r"(\d+) tests\n", done.stdout)[1]) > 0

@@ -107,7 +107,7 @@ _STUDIES: tuple[tuple[str, str, str, str, tuple[str, ...], str], ...] = (
         ("fig4_tuned_sphere.png", "tuning_trade.png"), "",
     ),
     (
-        "foreign_worlds", "Learned response", "--seeds 1 --worlds bell hysteresis",
+        "foreign_worlds", "Learned response", "--seeds 1 --worlds bell",
         "--out figures/ --full", ("foreign_worlds.png",), "",
     ),
     (
@@ -116,7 +116,7 @@ _STUDIES: tuple[tuple[str, str, str, str, tuple[str, ...], str], ...] = (
         "DATA --out figures/ --full", ("real_bodies.png",), "icub_body",
     ),
     (
-        "coactivation", "Layout from co-activation", "--data DATA --scenes sphere",
+        "coactivation", "Layout from co-activation", "--data DATA --scenes",
         "--data DATA --out figures/", ("coactivation_torso.png",), "icub_torso_touches",
     ),
     (

@@ -348,6 +348,7 @@ def _effect_page(name: str, cls: Any, picture: Path | None, folder: Path) -> str
     if field_docs(cls):
         parts.append(key_table(cls))
     bound = _first(inspect.getdoc(cls.bound) or "")
+    bound = bound[:1].lower() + bound[1:]
     parts.append(f"Bound on the taxel error, m, where the estimate ignores it: {bound}")
     return "\n\n".join(parts) + "\n"
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.errors import ConfigError
+from ..core.errors import ConfigError, MeshError
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -14,12 +14,19 @@ if TYPE_CHECKING:
 
 NAMES = ("units", "open", "link", "folder", "link_mesh")
 """Names of the options."""
+LIKELY = (0.02, 2.0)
+"""Usual extents of bodies that carry skin, m: a fingertip to a torso. The unit is the first of m,
+mm and cm in which the mesh has one, as exporters of meshes use them in this order."""
 HELP = "STL, OBJ, PLY, OFF, glTF or Collada file, or a URDF file with --link"
 
 
 def add(parser: Any) -> None:
     """Add the options to a parser or a group of one."""
-    parser.add_argument("--units", help="m, cm, mm or in; required except for glTF, Collada, URDF")
+    parser.add_argument(
+        "--units",
+        help="unit of the mesh: m, cm, mm or in; glTF, Collada and URDF files say it, `check` and "
+        "`init` tell it from the size of others",
+    )
     parser.add_argument(
         "--open", action="store_true", default=None, help="accept an open mesh, with borders"
     )
@@ -60,6 +67,32 @@ def load(path: Path, options: argparse.Namespace) -> Body:
         return Body.load(path, units=options.units, open=open_)
     folders, kind = options.folder or (), options.link_mesh or "visual"
     return Body.from_urdf(path, options.link, folders, kind, open=open_)
+
+
+def settle_units(path: Path, options: argparse.Namespace) -> str:
+    """Where the unit of a mesh is from, "" where the file says it; one that is not given is told
+    from the extent, and set in the options. Raises MeshError."""
+    import numpy as np
+
+    from ..geometry.mesh import mesh_file
+
+    if options.units is not None:
+        return "as asked"
+    says = path.suffix.lower().lstrip(".") in (*mesh_file.METRES, "dae")
+    if says or not is_mesh(path):
+        return ""
+    raw = mesh_file.read(path, 1.0).vertices
+    raw = raw[np.isfinite(raw).all(axis=1)]
+    extent = float(np.max(np.ptp(raw, axis=0))) if len(raw) else 0.0
+    for unit in ("m", "mm", "cm"):
+        if LIKELY[0] <= extent * mesh_file.UNITS[unit] <= LIKELY[1]:
+            options.units = unit
+            size = 1e3 * extent * mesh_file.UNITS[unit]
+            return f"by its size: the largest extent is {size:.4g} mm then"
+    raise MeshError(
+        "the unit cannot be told from the size", value=f"largest extent {extent:.4g}",
+        remedy="give --units",
+    )  # fmt: skip
 
 
 def is_mesh(path: Path) -> bool:

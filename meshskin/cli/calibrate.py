@@ -95,12 +95,13 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
     found.save(options.out / "calibration")
     if given.robot is not None:
         given.robot.save(options.out / CORRECTED)
-    exported = [] if export is None else [export.write(found, given.mount)]
+    mount = None if given.joints is None else given.joints.mount
+    exported = [] if export is None else [export.write(found, mount)]
     metrics = assess(found, recording) | {"inputs": belief_options.inputs(options)}
     if options.map is not None:
         recording.save(options.out / "recording")
-    if given.kinematics is not None:
-        metrics["kinematics"] = given.kinematics
+    if given.joints is not None:
+        metrics["kinematics"] = given.joints.metrics()
     if options.cross_validate is not None:
         validation = found.cross_validate(recording, options.cross_validate, belief, progress)
         metrics["cross_validation"] = validation.metrics()

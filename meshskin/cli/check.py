@@ -16,7 +16,7 @@ from ..core.errors import MeshError, OutputError
 from . import body_options
 
 if TYPE_CHECKING:
-    from ..geometry.mesh.check import MeshCheck
+    from ..geometry.mesh.check import Finding, MeshCheck
 
 COLOURS = {"refused": "#c62828", "noted": "#ef6c00", "repaired": "#1565c0"}
 SIZES = {"refused": 5.0, "noted": 4.0, "repaired": 1.5}
@@ -62,15 +62,19 @@ def command(options: argparse.Namespace) -> int:
         raise OutputError(
             "unknown suffix of a drawing", value=kind, limit=f".html, {', '.join(PICTURES)}"
         )
+    given = options.units
+    why = body_options.settle_units(options.mesh, options)
     raw = body_options.triangles(options.mesh, options)
     found = check_mesh(raw.vertices, raw.faces, bool(options.open))
     finite = found.vertices[np.isfinite(found.vertices).all(axis=1)]
     size = 1e3 * np.ptp(finite, axis=0) if len(finite) else np.zeros(3)
     print(f"{options.mesh.name}: {len(found.vertices)} vertices, {len(found.faces)} faces, "
           f"{size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g} mm")  # fmt: skip
+    if options.units != given:
+        print(f"  {'units':9} {options.units}, {why}; give --units if it is another one")
     for finding in found.findings:
         print(f"  {finding.verdict:9} {finding.what}")
-        if place := finding.where():
+        if (place := finding.where()) and not everywhere(finding, found):
             print(f"  {'':9}   {place}")
         if finding.remedy and finding.verdict == "refused":
             remedy = finding.remedy.replace("open=True", "--open (open=True in Python)")
@@ -124,19 +128,22 @@ def patches(found: MeshCheck, names: Mapping[str, Any]) -> None:
         print(f"  {'patch':9} {name}: {len(rows)} faces, {area:.4g} cm2")
 
 
+def everywhere(finding: Finding, found: MeshCheck) -> bool:
+    """Whether a finding is a repair of more than half the vertices, as merging those of an STL."""
+    return finding.verdict == "repaired" and len(finding.points) > 0.5 * len(found.vertices)
+
+
 def thinned(rows: Any) -> Any:
     """At most DRAWN of the rows, evenly spaced."""
     return rows[:: max(1, -(-len(rows) // DRAWN))]
 
 
 def marks(found: MeshCheck) -> Iterator[tuple[Any, float, str, str]]:
-    """Points (k, 3), mm, marker size, color and legend text of each finding, the largest last.
-
-    A repair of more than half the vertices, such as merging those of an STL file, has no points.
-    """
+    """Points (k, 3), mm, marker size, color and legend text of each finding, the largest last;
+    repairs all over the mesh have no points."""
     for finding in sorted(found.findings, key=lambda one: SIZES[one.verdict]):
         points, text = 1e3 * finding.points, f"{finding.verdict}: {finding.what}"
-        if finding.verdict == "repaired" and len(points) > 0.5 * len(found.vertices):
+        if everywhere(finding, found):
             points, text = points[:0], f"{text} (everywhere, not drawn)"
         yield thinned(points), SIZES[finding.verdict], COLOURS[finding.verdict], text
 

@@ -24,13 +24,12 @@ if TYPE_CHECKING:
     from ..exploration.reach import Reach
     from ..geometry.body import Body
 
-LIKELY = (0.02, 2.0)
-"""Usual extents of bodies that carry skin, m: a fingertip to a torso. The unit is the first of m,
-mm and cm in which the mesh has one, as exporters of meshes use them in this order."""
 SPACING = 5e-3
 """Distance of the taxels that are proposed, m: that of the paper's skin."""
 TAXELS = 80
 """Most taxels that are proposed, as many as the paper has: a first run then takes seconds."""
+SIDES = ((0, 0, 1), (1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0, 0, -1))
+"""Directions whose outermost point could be the middle of the skin; the first is the default."""
 DISC = 2e-3
 """Radius of the taxels that are proposed, m: the paper's."""
 LANES = 0.55
@@ -78,13 +77,13 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
     """The text of a scene for the mesh or link of the options, and the command that runs it."""
     from ..exploration.reach import reach, recommended
 
-    units, why = _units(options)
-    options.units = units
+    why = body_options.settle_units(options.file, options)
     body, opened = _body(options)
     whole = int(body.mesh.area / (math.sqrt(0.75) * SPACING**2))
     with bar(quiet=False) as progress:
         found = reach(body, RADII, progress=progress)
     best = recommended(found)
+    count = _count(body, whole)
     where = os.path.relpath(options.file.resolve(), out.resolve().parent)
     lines = [
         f"# A scene for {options.file.name}, proposed by `meshskin init`. Keys name their unit.",
@@ -92,14 +91,15 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
         "",
         "[body]",
         f"mesh = {json.dumps(Path(where).as_posix())}",
-        *([f"units = {json.dumps(units)}  # {why}"] if units else []),
+        *([f"units = {json.dumps(options.units)}  # {why}"] if why else []),
         *([f"open = true  # {opened}"] if options.open else []),
         *_urdf(options),
         "",
         "[skin]",
         f"spacing_mm = {1e3 * SPACING:g}",
-        f"count = {_count(body, whole)}  # without it: all of the body or region, about {whole}",
+        f"count = {count}  # without it: all of the body or region, about {whole}",
         f"disc_radius_mm = {1e3 * DISC:g}",
+        *_direction(body, count, best),
         *_patches(body),
         "",
         "[material]",
@@ -130,28 +130,6 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
     return "\n".join(lines) + "\n", f"meshskin run {out} --out out/"
 
 
-def _units(options: argparse.Namespace) -> tuple[str | None, str]:
-    """The unit of a mesh, as asked or by its extent, and why; None where the file says it."""
-    from ..geometry.mesh import mesh_file
-
-    file = options.file
-    if options.units is not None:
-        return options.units, "as asked"
-    says = file.suffix.lower().lstrip(".") in (*mesh_file.METRES, "dae")
-    if says or not body_options.is_mesh(file):
-        return None, ""
-    raw = mesh_file.read(file, 1.0)
-    extent = float(np.max(np.ptp(raw.vertices[np.isfinite(raw.vertices).all(axis=1)], axis=0)))
-    for unit in ("m", "mm", "cm"):
-        if LIKELY[0] <= extent * mesh_file.UNITS[unit] <= LIKELY[1]:
-            size = 1e3 * extent * mesh_file.UNITS[unit]
-            return unit, f"by its size: the largest extent is {size:.4g} mm then"
-    raise MeshError(
-        "the unit cannot be told from the size", value=f"largest extent {extent:.4g}",
-        remedy="give --units",
-    )  # fmt: skip
-
-
 def _body(options: argparse.Namespace) -> tuple[Body, str]:
     """The body, opened where it is refused only, and why it is. Raises MeshError."""
     if options.open:
@@ -178,6 +156,31 @@ def _count(body: Body, whole: int) -> int:
         else:
             break
     return count
+
+
+def _direction(body: Body, count: int, best: Reach) -> list[str]:
+    """The key of a side whose taxels the indenter reaches better than those at the top, with how
+    many of them; nothing where none is better."""
+    from ..exploration.reach import NEARLY, contact_reasons
+    from ..geometry.region import Whole
+    from ..scene.scene import Scene
+    from ..scene.settings import Loop
+    from ..skin.skin import Skin
+
+    reached = {}
+    for side in SIDES:
+        try:
+            skin = Skin.cover(body, SPACING, count, Whole(side), disc_radius=DISC)
+        except SkinError:
+            continue
+        scene = Scene(body=body, skin=skin, loop=Loop(mode="quasi_static"))
+        reasons = contact_reasons(scene, best.radius, best.force)[1]
+        reached[side] = float(np.mean(reasons == ""))
+    top, side = reached.get(SIDES[0], 0.0), max(reached, key=lambda one: reached[one])
+    if top >= NEARLY * reached[side]:
+        return []
+    why = f"of these taxels {reached[side]:.0%} are reached, of those at the top {top:.0%}"
+    return [f"direction = {json.dumps(side)}  # {why}"]
 
 
 def _force(best: Reach) -> float:
@@ -225,10 +228,23 @@ SHOWN = 8
 """Patches that a scene lists."""
 
 
+NO_PLACES = """\
+# Nothing says where the skin was touched. Name the columns of contact points (frame of the body)
+# and of forces, or a stream of poses or of joint angles:
+# [[stream]]
+# topic = "contacts"
+# kind = "contacts"
+# values = ["x", "y", "z", "force"]
+# unit = "mm"
+"""
+"""Comment in the map of a log without contacts, poses and joint angles."""
+
+
 def log_map(file: Path, out: Path) -> tuple[str, str]:
     """The text of a map of a log, and the command that reads the log by it. Raises ConfigError."""
     from ..recording.log_map import LogMap
     from ..recording.readers import read_and_suggest
+    from ..recording.stream import CONTACTS, JOINTS, POSE
     from .log import first_map
 
     log, could = read_and_suggest(file, progress=True)
@@ -248,4 +264,8 @@ def log_map(file: Path, out: Path) -> tuple[str, str]:
             lines.append(f"# could also be: {', '.join(dict.fromkeys(others))}")
         _, _, table = LogMap((stream,)).to_toml().partition("\n\n")
         lines.append(table)
+    if unknown := [name for name in sorted(could) if not could[name]]:
+        lines += [f"# Not recognized: {', '.join(unknown)}.", ""]
+    if not any(first.of(kind) for kind in (CONTACTS, POSE, JOINTS)):
+        lines.append(NO_PLACES)
     return "\n".join(lines), f"meshskin log {file} --map {out}"

@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from .belief_options import belief_of
 from .log import add_scan, summary
 
 if TYPE_CHECKING:
-    from ..core.arrays import Array
     from ..core.progress import Progress
     from ..estimation.calibration import Calibration
     from ..estimation.kinematics.calibrate_log import LogCalibration
@@ -65,16 +64,17 @@ class FromLog:
     belief: Belief
     lines: list[str]
     """What the log shows, for the summary."""
-    found: Calibration | None = None
+    log: SkinLog | None = None
+    """The log on one clock, of --map."""
+    joints: LogCalibration | None = None
     """The calibration, where contacts follow from joint angles."""
     robot: Robot | None = None
     """The robot with what was estimated of it, likewise."""
-    mount: Array | None = None
-    """Pose (4, 4), m, of the calibration's body in the frame of its link, likewise."""
-    log: SkinLog | None = None
-    """The log on one clock, of --map."""
-    kinematics: dict[str, Any] | None = None
-    """Heights of the contacts and residuals by joint for metrics.json, likewise."""
+
+    @property
+    def found(self) -> Calibration | None:
+        """The calibration of the taxels, where contacts follow from joint angles."""
+        return None if self.joints is None else self.joints.calibration
 
 
 def from_log(options: argparse.Namespace, progress: Progress | None = None) -> FromLog:
@@ -94,19 +94,9 @@ def from_log(options: argparse.Namespace, progress: Progress | None = None) -> F
     belief, lines = belief_of(options, frames.skin_log.taxel_ids), list(summary(frames, log))
     if options.indenter_mm is None:
         recording = recording_from_log(log, log_map, frames)
-        return FromLog(recording, belief, lines, log=frames.skin_log)
+        return FromLog(recording, belief, lines, frames.skin_log)
     found, robot = _calibrate_joints(options, frames.skin_log, belief, progress)
-    lines += _lines(found)
-    return FromLog(
-        found.recording,
-        belief,
-        lines,
-        found.calibration,
-        robot,
-        found.mount,
-        frames.skin_log,
-        found.metrics(),
-    )
+    return FromLog(found.recording, belief, lines + _lines(found), frames.skin_log, found, robot)
 
 
 def _check(options: argparse.Namespace) -> None:

@@ -73,9 +73,6 @@ def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
     began = command_began()
     if options.seconds is not None:  # before the packages, which take half of the least time
         check_run_seconds(options.seconds, LEAST_SECONDS * crowding(began))
-    from ..core.provenance import StageTimer
-
-    timer = StageTimer(start=began)  # imports count
     from ..pipeline import run
     from ..study.sensitivity.request import Request
 
@@ -91,7 +88,7 @@ def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
             budget=None if options.budget_mm is None else 1e-3 * options.budget_mm,
             request=request,
             watch=watch,
-            timer=timer,
+            began=began,  # imports count
         )
     if not options.quiet:
         if result.budget is not None:

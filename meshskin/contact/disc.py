@@ -25,7 +25,7 @@ from ..core.arrays import Array
 from .array_backend import functions
 
 if TYPE_CHECKING:
-    from ..core.columns import ColumnFunction
+    from ..core.many_points import ColumnFunction
 
 _MIN_SQUARE = 1e-12
 """Lower bound under square roots, whose derivatives stay finite: 1e-6 contact radii."""
@@ -81,7 +81,7 @@ def _compiled(nodes: int) -> ColumnFunction:
     """`_mean_and_slope` of columns rho and s."""
     import casadi as ca
 
-    from ..core.columns import ColumnFunction
+    from ..core.many_points import ColumnFunction
 
     x = ca.SX.sym("x", 2)
     return ColumnFunction("disc_mean", x, ca.vertcat(*_mean_and_slope(x[0], x[1], nodes)))

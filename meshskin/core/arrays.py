@@ -65,3 +65,22 @@ def far_apart(points: Array, order: Index, reach: float, count: int) -> Index:
             chosen.append(k)
             beside[tree.query_ball_point(points[k], reach)] = True
     return np.array(chosen, dtype=np.intp)
+
+
+def neighbour_distances(points: Array) -> Array:
+    """Distance (n,) of each of the points (n, D), two or more, to the nearest other."""
+    from scipy.spatial import KDTree
+
+    return np.asarray(KDTree(points).query(points, k=2)[0][:, 1])
+
+
+def median_spacing(points: Array) -> float:
+    """Median of `neighbour_distances` of the finite points (n, 3); NaN for fewer than two."""
+    points = points[np.isfinite(points).all(axis=1)]
+    return float(np.median(neighbour_distances(points))) if len(points) > 1 else float("nan")
+
+
+def nearest_rows(times: Array, wanted: Array) -> Index:
+    """Row (m,) of the rising `times` (n,), two or more, nearest to each of `wanted` (m,)."""
+    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    return np.where(wanted - times[after - 1] < times[after] - wanted, after - 1, after)

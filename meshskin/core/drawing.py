@@ -9,7 +9,8 @@ matplotlib: import it where a picture is drawn.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,9 +102,11 @@ def _figure(ax: Axes) -> Figure:
     return found
 
 
-def _fonts(ax: Axes | None) -> Any:
-    """The context with the size of the text, points."""
-    return matplotlib.rc_context({"font.size": SMALL_FONT if _is_small(ax) else FONT})
+@contextmanager
+def _drawn(ax: Axes | None) -> Iterator[Axes]:
+    """The axes that are drawn into, those of a new figure for None, with the size of their text."""
+    with matplotlib.rc_context({"font.size": SMALL_FONT if _is_small(ax) else FONT}):
+        yield _axes(SIZE) if ax is None else ax
 
 
 @dataclass(frozen=True)
@@ -254,8 +257,7 @@ def solid(
     which the dots are coloured, `label` what they are; radius of the dots, m; lines (k, 3), m;
     close: show what is near the dots, and not the whole mesh.
     """
-    with _fonts(ax):
-        ax = _axes(SIZE) if ax is None else ax
+    with _drawn(ax) as ax:
         view, seen = View.along(toward), [np.zeros((0, 2))]
         if mesh is not None:
             _draw_body(ax, view, mesh.vertices, mesh.faces)
@@ -292,8 +294,7 @@ def bars(
     ax: Axes | None, names: Sequence[str], values: Sequence[float], label: str, on: Sequence[bool]
 ) -> Figure:
     """Draw horizontal bars on a logarithmic axis, the first on top; those not `on` are grey."""
-    with _fonts(ax):
-        ax = _axes(SIZE) if ax is None else ax
+    with _drawn(ax) as ax:
         rows = np.arange(len(names))
         ax.barh(rows, values, color=[ACCENT if one else "#b6bcc4" for one in on])
         ax.set_yticks(rows, names)
@@ -309,8 +310,7 @@ def curves(
     ax: Axes | None, rows: Iterable[tuple[str, Sequence[Any], Sequence[float]]], x: str, y: str
 ) -> Figure:
     """Draw one line with marks a row (label, x values, y values); texts of x become categories."""
-    with _fonts(ax):
-        ax = _axes(SIZE) if ax is None else ax
+    with _drawn(ax) as ax:
         for label, across, up in rows:
             ax.plot(across, up, "o-", ms=3, lw=1, label=label)
         ax.set(xlabel=x, ylabel=y)

@@ -50,7 +50,7 @@ class FieldDoc:
 
 
 def field_docs(cls: type) -> tuple[FieldDoc, ...]:
-    """The fields of a dataclass that its callers can give, in their order."""
+    """The fields of a dataclass that its callers can give, in the order of its arguments."""
     texts = _texts(cls)
     return tuple(
         FieldDoc(
@@ -61,7 +61,7 @@ def field_docs(cls: type) -> tuple[FieldDoc, ...]:
             limits=limits(field),
             text=texts.get(field.name, ""),
         )
-        for field in dataclasses.fields(cls)
+        for field in sorted(dataclasses.fields(cls), key=lambda field: bool(field.kw_only))
         if field.init and not field.name.startswith("_")
     )
 

@@ -23,12 +23,13 @@ AXES = ("x", "y", "z", "nx", "ny", "nz")
 REASON_LENGTH = 200
 """Largest number of characters of the reason why something is not shown: two lines of a card."""
 STYLE = {
-    "card": "display:flex;gap:14px;align-items:center;margin:4px 0;max-width:820px;",
+    "card": "display:flex;flex-wrap:wrap;gap:14px;align-items:center;margin:4px 0;max-width:820px;",
+    "facts": "flex:1 1 300px;min-width:0;",
     "title": "font-weight:600;margin-bottom:4px;",
     "table": "border-collapse:collapse;margin:0;",
     "name": "text-align:left;vertical-align:top;padding:1px 12px 1px 0;opacity:.7;"
     "font-weight:400;white-space:nowrap;",
-    "value": "text-align:left;padding:1px 0;",
+    "value": "text-align:left;padding:1px 0;overflow-wrap:anywhere;",
     "picture": "background:white;border-radius:4px;flex:none;",
 }
 """Styles of a card's elements; colours of text are those of the page, light or dark."""
@@ -86,7 +87,8 @@ def card(shown: Card) -> str:
         for name, value in facts.items()
     )
     return (
-        f'<div class="meshskin-card" style="{STYLE["card"]}">{picture}<div>'
+        f'<div class="meshskin-card" style="{STYLE["card"]}">{picture}'
+        f'<div style="{STYLE["facts"]}">'
         f'<div style="{STYLE["title"]}">{escape(title)}</div>'
         f'<table style="{STYLE["table"]}"><tbody>{rows}</tbody></table></div></div>'
     )

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
-from time import perf_counter, process_time
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -72,13 +72,6 @@ class StageTimer:
 
     seconds: dict[str, float] = field(default_factory=dict)
     """Wall-clock time of each stage, s"""
-    start: tuple[float, float] = field(default_factory=lambda: (perf_counter(), process_time()))
-    """Wall-clock and processor time when the timer was made, s"""
-
-    @property
-    def processor(self) -> float:
-        """Processor time since the timer was made, s."""
-        return process_time() - self.start[1]
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -206,7 +206,7 @@ def casadi_rotation(q: ca.SX) -> ca.SX:
 
 
 def cayley(a: ArrayLike) -> Array:
-    """Rotation matrices (..., 3, 3) of increments `a` (..., 3), as posegraph.kernel.cayley."""
+    """Rotation matrices (..., 3, 3) of increments `a` (..., 3), as edge_assembly.cayley."""
     a = np.asarray(a, dtype=float)
     k = hat(a)
     scale = 1.0 / (1.0 + np.sum(a * a, axis=-1)[..., None, None] / 4.0)

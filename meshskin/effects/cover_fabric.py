@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..contact.disc import disc_mean
 from ..core.arrays import Array
 from ..core.config import quantity
 from .base import BaseEffect, Context
@@ -35,8 +36,6 @@ class CoverFabric(BaseEffect, stage="field", cost=2.5e-6):
 
     def bound(self, context: Context) -> float:
         """From the largest change of a reading under a circular reference contact, m."""
-        from ..contact.disc import disc_mean
-
         a, disc = context.contact_radius, context.skin.disc_radius
         node, weight = _gauss_hermite()
         r = np.linspace(0.0, a + disc + 4.0 * self.width, BOUND_SAMPLES)

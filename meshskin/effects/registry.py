@@ -6,15 +6,13 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, cast
+from importlib.metadata import EntryPoint
+from typing import Any, cast
 
 from ..core import config
 from ..core.errors import ConfigError, UnknownNameError
 from ..core.field_docs import document_fields
 from .base import Effect, check_effect
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 NAMES = (
     "friction", "layer", "elliptic_patch", "disc_averaging", "cover_fabric", "scan_order",
@@ -67,11 +65,10 @@ def registered() -> tuple[Effect, ...]:
 
     An effect of another package that cannot be loaded is left out with a warning that names it.
     """
-    kinds = [find(name) for name in NAMES]
-    found = [kind() for kind in kinds if _has_defaults(kind)]
-    for name in every_name()[len(NAMES) :]:
+    found: list[Effect] = []
+    for name in every_name():
         try:
-            found += _external(name)
+            found += _with_defaults(name)
         except ConfigError as error:
             warnings.warn(f"{error}: it is left out", stacklevel=2)
     return tuple(found)
@@ -97,10 +94,12 @@ def _entry_points() -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
 
 
-def _external(name: str) -> tuple[Effect, ...]:
-    """The effect of another package with its defaults, if it has them. Raises ConfigError."""
+def _with_defaults(name: str) -> tuple[Effect, ...]:
+    """The effect with its defaults, if it has them. Raises ConfigError for one of another package
+    that cannot be created."""
     kind = find(name)
-    if not _has_defaults(kind):
+    missing = [f for f in fields(cast(Any, kind)) if f.default is f.default_factory is MISSING]
+    if missing:
         return ()
     try:
         effect = kind()
@@ -114,10 +113,3 @@ def _external(name: str) -> tuple[Effect, ...]:
 
 def _one_line(error: Exception) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
-
-
-def _has_defaults(kind: type[Effect]) -> bool:
-    return all(
-        field.default is not MISSING or field.default_factory is not MISSING
-        for field in fields(cast(Any, kind))
-    )

@@ -16,6 +16,7 @@ from ..core.arrays import Array
 from ..core.errors import ConfigError, ReachError
 from ..core.progress import Progress, Stage
 from ..core.value import Value
+from ..exploration.lanes import lengths_along
 from ..exploration.left_out import SPARSE
 from ..exploration.plan import plan_exploration
 from ..recording.recording import Recording
@@ -220,10 +221,8 @@ def lane_contacts(scene: Scene, spacing: float) -> tuple[Array, Mapping[int, str
         return plan.path.points, unreachable
     parts = []
     for segment in plan.segments:
-        lengths = np.linalg.norm(np.diff(segment.points, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(lengths)])
-        rows = np.searchsorted(along, np.arange(0.0, along[-1], step))
-        parts.append(segment.points[rows])
+        along = lengths_along(segment.points)
+        parts.append(segment.points[np.searchsorted(along, np.arange(0.0, along[-1], step))])
     return np.concatenate(parts), unreachable
 
 

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,10 +17,11 @@ from ..core.errors import CalibrationError, warn_left_out
 from ..core.progress import Progress, Stage
 from ..core.provenance import digest, provenance
 from ..recording.recording import Recording
-from ..scene.belief import RAW
+from ..scene.belief import RAW, Belief
 from . import centroid, chart
 from .calibration import Calibration
-from .data.gather import gather
+from .data.gather import gather, gather_or_learn
+from .data.measurements import Measurements
 from .joint import learned, maximum_likelihood
 from .joint.departures import MIN_SCORE
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
@@ -32,10 +32,6 @@ from .uncalibrated import uncalibrated
 from .uncertainty import observability
 from .uncertainty.contact_errors import systematic_covariance
 from .uncertainty.judge import judge
-
-if TYPE_CHECKING:
-    from ..scene.belief import Belief
-    from .data.measurements import Measurements
 
 UNTOUCHED = "never touched"
 CONSTANT = "its reading never changes"
@@ -61,7 +57,7 @@ class Estimation:
                 value=type(belief).__name__,
                 remedy="give what the robot's owner knows: scene.belief()",
             )
-        self.data = gather(recording, belief)
+        self.data, self._out_of_range = gather_or_learn(recording, belief)
         self.recording, self.belief, self.start = recording, belief, start
         self._displacements: dict[Trilateration, Displacements] = {}
         self._seconds = time.perf_counter() - begin
@@ -78,7 +74,7 @@ class Estimation:
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         found, result = self._estimated(method, tolerance, iterations, stage=stage)
         begin = time.perf_counter()
-        verdict = judge(self.recording, self._near, found, result.departures)
+        verdict = judge(self.recording, self._near, found, result.departures, self.data)
         stage.end()
         judged = time.perf_counter() - begin
         more = {name: found.seconds[name] + judged for name in ("other", "total")}
@@ -101,10 +97,11 @@ class Estimation:
         check_name("method", method, tuple(METHODS))
         check_real("tolerance of a calibration", tolerance, above=0.0)
         iterations = check_integer("limit of iterations", iterations, least=1)
-        if self.belief.readings == RAW and method not in UNITLESS:
+        unknown_scale = 'readings="raw"' if self.belief.readings == RAW else self._out_of_range
+        if unknown_scale and method not in UNITLESS:
             raise CalibrationError(
-                f"the method {method} needs pressures",
-                value='readings="raw"',
+                f"the method {method} needs pressures of a contact model",
+                value=unknown_scale,
                 remedy=f"use one of {', '.join(UNITLESS)}",
             )
         begin, data, given = time.perf_counter(), self.data, self.recording
@@ -132,24 +129,10 @@ class Estimation:
             touched=data.counts > 0,
             readings=data.counts,
             method=method,
-            anchor=result.anchor,
-            factors=result.factors,
             chi2=result.chi2,
             reasons=reasons,
-            modulus=result.modulus,
-            modulus_sigma=result.modulus_sigma,
-            unknowns=result.unknowns,
-            undetermined=result.undetermined,
-            taxel_unknowns=result.taxel_unknowns,
-            faults=result.faults,
-            rivals=result.rivals,
-            fit=result.fit,
-            response=result.response,
-            contact_errors=result.contact_errors,
-            additions=result.additions,
             contact_centroids=self._contact_centroids,
             belief=data.belief,
-            iterates=result.iterates,
             provenance=provenance(
                 method=method,
                 recording=self._digest,
@@ -157,6 +140,7 @@ class Estimation:
             ),
             disc_radius=data.belief.disc_radius,
             frame=getattr(data.belief.body, "frame", None),  # an exact surface has none
+            **result.details,
         )
         seconds = {"gather": self._seconds, **result.seconds}
         total = self._seconds + time.perf_counter() - begin
@@ -182,7 +166,7 @@ class Estimation:
         """Maximum likelihood over all readings; arguments as `calibrate`.
 
         The response is learned where the belief asks for it, or leaves the contact model open and
-        the readings contradict it or lead to no estimate.
+        no model holds, the readings contradict it, or lead to no estimate.
         """
         if self.data.learned:
             return learned.estimate(self.data, stage)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,8 +19,7 @@ from ..skin.files.table import DISC_RADIUS
 from ..skin.skin import Skin
 from . import calibration_file
 from .data.global_parameters import natural_units
-from .result import LearnedResponse
-from .uncertainty.goodness_of_fit import GoodnessOfFit
+from .result import EstimateDetails
 from .uncertainty.verdict import Verdict
 
 if TYPE_CHECKING:
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration(Value, Card, Tabular):
+class Calibration(Value, Card, Tabular, EstimateDetails):
     """Poses of n taxels in the body frame, with their covariances. SI units.
 
     A taxel that the data did not determine has a pose of NaN, an infinite covariance and an entry
@@ -58,53 +56,16 @@ class Calibration(Value, Card, Tabular):
     """Number of such readings (n,)."""
     method: str
     """Name of the estimator."""
-    anchor: str
-    """What fixes the pose of the whole."""
-    factors: tuple[str, ...]
-    """What the estimate is made of, priors named."""
     chi2: Array
     """Squared residuals per degree of freedom of each taxel (n,); NaN with none left."""
     reasons: np.ndarray
     """Why a taxel is not determined (n,) str; "" where it is."""
-    modulus: float | None = None
-    """E*, Pa, that the pressures were read under."""
-    modulus_sigma: float | None = None
-    """Its standard deviation, Pa, that by the indenter's radius included; None: it was given, not
-    estimated."""
-    unknowns: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Global parameters that were estimated: value and standard deviation, SI units; of modulus and
-    force scale the natural logarithm of the factor to the nominal one (`parameter_values`). The
-    deviations are those by the readings, with the believed indenter."""
-    undetermined: tuple[str, ...] = ()
-    """Directions of the global parameters that rest on the priors, in words."""
-    taxel_unknowns: Mapping[str, Array] = field(default_factory=dict)
-    """"gain" (ln) and "offset" (Pa) where estimated: value and standard deviation (n, 2)."""
-    faults: np.ndarray | None = None
-    """What is wrong with a taxel (n,) str, "" where nothing was found; None: not looked for."""
-    rivals: Array | None = None
-    """Other positions (n, 3), m, that fit the readings nearly as well, NaN where there is none; the
-    covariance holds their distance as a standard deviation. None: not looked for."""
-    fit: GoodnessOfFit | None = None
-    """Whether the model explains the readings."""
-    response: LearnedResponse | None = None
-    """The learned response of the taxels; None: the contact model's."""
-    contact_errors: Array | None = None
-    """Errors (m, 3) of the m pressed contacts that were estimated with a learned response: by how
-    much a point is displaced along the first and second principal direction, m, and of ln F; None
-    without one. Not saved."""
-    additions: Array | None = None
-    """Rows (k, 3) of contact, row of the taxel, and what hysteresis, creep, crosstalk and drifts
-    add to its reading there, in Pa under the response; None without these. Not saved."""
     verdict: Verdict | None = None
     """Whether the calibration can be relied on, with reasons; None: made by hand."""
     contact_centroids: Array | None = None
     """Pressure-weighted centroid (n, 3), m, of the contacts of each taxel; NaN without any."""
     belief: Belief | None = field(default=None, repr=False, compare=False)
     """What it was estimated under; not saved."""
-    iterates: Array | None = None
-    """Positions (k, n, 3), m, along the iterations; None where they were not kept."""
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    """Seconds of the stages."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """Inputs, versions, time."""
     disc_radius: float = DISC_RADIUS
@@ -255,18 +216,17 @@ class Calibration(Value, Card, Tabular):
         return calibration_file.csv(self)
 
     def report(self, path: str | Path, **options: Any) -> list[Path]:
-        """Write the report page, `path`.html; options (truth=skin, recording=, ...) as
-        `meshskin.report`.
+        """Write the report page, `path`.html; options (truth=skin, recording=, ...): fields of
+        report.data.ReportData, and those of report.page.report.
 
         body: by default that of the belief; a calibration that was loaded has none. Returns the
         files written. Raises ConfigError for a path with another suffix than .html and for a truth
         that is not a Skin, UnknownNameError for an unknown option.
         """
-        from ..report.page import report
+        from ..report.page import OPTIONS, report
 
-        known = list(inspect.signature(report).parameters)
         for name in options:
-            check_name("option of a report", name, known)
+            check_name("option of a report", name, OPTIONS)
         if Path(path).suffix not in ("", ".htm", ".html"):
             raise ConfigError(
                 "a report is an HTML page", value=str(path), remedy="give a path that ends in .html"

@@ -22,31 +22,16 @@ if TYPE_CHECKING:
     from .calibration import Calibration
 
 _KEY = b"meshskin-calibration"
-_COLUMNS = {
-    "ids": "ids",
-    "poses": "poses",
-    "covariances": "covariances",
-    "observed": "observed",
-    "touched": "touched",
-    "readings": "readings",
-    "chi2": "chi2",
-    "reasons": "why",
-}
+_SAME = ("ids", "poses", "covariances", "observed", "touched", "readings", "chi2")
+_COLUMNS = {name: name for name in _SAME} | {"reasons": "why"}
 """Columns of a file by field."""
+_OPTIONAL = {"faults": "faults", "contact_centroids": "middles", "rivals": "rivals"}
+"""Columns by field that a calibration may be without."""
 _NUISANCE = "taxel_"
 """Prefix of the columns of nuisance parameters."""
 _HEADER = (
-    "method",
-    "anchor",
-    "factors",
-    "modulus",
-    "modulus_sigma",
-    "unknowns",
-    "undetermined",
-    "seconds",
-    "provenance",
-    "disc_radius",
-    "frame",
+    *("method", "anchor", "factors", "modulus", "modulus_sigma", "unknowns", "undetermined"),
+    *("seconds", "provenance", "disc_radius", "frame"),
 )
 
 
@@ -57,12 +42,10 @@ def write(found: Calibration, path: str | Path) -> None:
     steps = 0 if found.iterates is None else len(found.iterates)
     if found.iterates is not None:
         columns["iterates"] = _column(np.swapaxes(found.iterates, 0, 1))
-    if found.faults is not None:
-        columns["faults"] = _column(found.faults)
-    if found.contact_centroids is not None:
-        columns["middles"] = _column(found.contact_centroids)
-    if found.rivals is not None and np.isfinite(found.rivals).any():
-        columns["rivals"] = _column(found.rivals)
+    for name, column in _OPTIONAL.items():
+        values = getattr(found, name)
+        if values is not None and not (name == "rivals" and np.isnan(values).all()):
+            columns[column] = _column(values)
     columns |= {_NUISANCE + name: _column(values) for name, values in found.taxel_unknowns.items()}
     header = {name: getattr(found, name) for name in _HEADER} | {"steps": steps}
     header["fit"] = None if found.fit is None else asdict(found.fit)
@@ -98,22 +81,19 @@ def read(path: str | Path) -> dict[str, Any]:
     }
     if steps:
         values["iterates"] = np.swapaxes(_array(table, "iterates").reshape(n, steps, 3), 0, 1)
-    if "faults" in table.column_names:
-        values["faults"] = _array(table, "faults")
-    if "middles" in table.column_names:
-        values["contact_centroids"] = _array(table, "middles").reshape(n, 3)
-    if "rivals" in table.column_names:
-        values["rivals"] = _array(table, "rivals").reshape(n, 3)
+    for name, column in _OPTIONAL.items():
+        if column in table.column_names:
+            values[name] = _array(table, column).reshape(n if name == "faults" else (n, 3))
     values["taxel_unknowns"] = {
         name.removeprefix(_NUISANCE): _array(table, name).reshape(n, 2)
         for name in table.column_names
         if name.startswith(_NUISANCE)
     }
-    fit = header.pop("fit", None)
-    header["fit"] = None if fit is None else GoodnessOfFit(**fit)
-    if (verdict := header.pop("verdict", None)) is not None:
+    if (fit := header.get("fit")) is not None:
+        header["fit"] = GoodnessOfFit(**fit)
+    if (verdict := header.get("verdict")) is not None:
         header["verdict"] = Verdict(verdict["level"], tuple(verdict["reasons"]))
-    if (response := header.pop("response", None)) is not None:
+    if (response := header.get("response")) is not None:
         header["response"] = LearnedResponse.from_values(response)
     header["unknowns"] = {k: tuple(v) for k, v in header.get("unknowns", {}).items()}
     for name in ("factors", "undetermined"):

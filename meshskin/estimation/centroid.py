@@ -8,17 +8,13 @@ regular path err less, biased ones more.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ..core.arrays import Array, sums_by_group
 from . import chart
+from .data.measurements import Measurements
 from .result import SURFACE, EstimatorResult
 from .trilateration.trilaterate import COLLINEAR, MIN_WIDTH, TOO_FEW, require_any
-
-if TYPE_CHECKING:
-    from .data.measurements import Measurements
 
 FACTORS = ("contact points, weighted by the readings; no contact model", SURFACE)
 LEAST = 3

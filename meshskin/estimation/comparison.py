@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..core.deadline import Deadline
 from ..core.errors import CalibrationError, GraphError, OutOfTime
 from ..core.progress import Progress, Stage
+from ..skin.skin import Skin
 from .calibrate import Estimation
 from .calibration import Calibration
 from .uncertainty import metrics as truth
-
-if TYPE_CHECKING:
-    from ..skin.skin import Skin
 
 METHODS = (
     "trilateration",

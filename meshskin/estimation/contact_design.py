@@ -18,19 +18,16 @@ Source: Pukelsheim, "Optimal Design of Experiments" (2006), chapters 5 to 7 and 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..core.arrays import Array
 from ..core.errors import CalibrationError
+from ..geometry.body import Body
+from ..scene.belief import Belief
 from . import chart
 from .next_contact import expected_slopes
 from .uncertainty.observability import mean_distance
-
-if TYPE_CHECKING:
-    from ..geometry.body import Body
-    from ..scene.belief import Belief
 
 PITCH = 1.0 / 30.0
 """Distance of the candidates, in reaches of a contact: the optimal error changes by its square."""

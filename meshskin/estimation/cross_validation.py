@@ -10,26 +10,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..contact import LEARNED
 from ..core import arrow
 from ..core.arguments import check_integer
-from ..core.arrays import Array
+from ..core.arrays import Array, median_spacing
 from ..core.errors import CalibrationError
 from ..core.progress import Progress, Stage
 from ..core.value import Value
 from ..recording.recording import Recording
-from ..scene.belief import RAW
+from ..scene.belief import RAW, Belief
 from .calibrate import calibrate
+from .calibration import Calibration
 from .data.gather import gather
 from .localization import CalibratedSkin
-
-if TYPE_CHECKING:
-    from ..scene.belief import Belief
-    from .calibration import Calibration
 
 BLOCK = 2.0
 """Length of a block, in reaches of a contact: no taxel is in reach of two contacts further apart
@@ -139,7 +136,7 @@ def cross_validate(
         count += number
         stage.step()
     return CrossValidation(
-        points, localized, centroids, fold, likelihood, count, _pitch(calibration.positions)
+        points, localized, centroids, fold, likelihood, count, median_spacing(calibration.positions)
     )
 
 
@@ -189,16 +186,6 @@ def recorded_belief(calibration: Calibration) -> Belief:
         saturation=None if belief.saturation is None else belief.saturation * unit,
         noise_sigma=None if belief.noise_sigma is None else belief.noise_sigma * unit,
     )
-
-
-def _pitch(positions: Array) -> float:
-    """Median distance, m, of determined positions (n, 3) from their nearest neighbours."""
-    from scipy.spatial import cKDTree
-
-    found = positions[np.isfinite(positions[:, 0])]
-    if len(found) < 2:
-        return float("nan")
-    return float(np.median(cKDTree(found).query(found, k=2)[0][:, 1]))
 
 
 def held_out_in_words(metrics: dict[str, Any]) -> str:

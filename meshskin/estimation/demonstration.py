@@ -20,8 +20,6 @@ from .posegraph import PoseGraph
 
 MIN_SHARED = 3
 """Contacts that two taxels must share for a displacement between them: three circles."""
-TURN = 20.0
-"""Ratio of the noise of rotations to that of displacements, rad/m: 0.02 rad for 1 mm."""
 
 
 @dataclass(frozen=True)
@@ -119,44 +117,3 @@ def aligned(estimate: Array, truth: Array) -> Array:
         return estimate + (truth.mean(axis=0) - estimate.mean(axis=0))
     pose = se3.align(estimate, truth)
     return se3.transform_points(pose, estimate)
-
-
-@dataclass(frozen=True)
-class NoiseSweep:
-    """Figure 9: initial against maximum-likelihood mean position errors, after rigid alignment."""
-
-    sigmas: Array
-    """Noise of the displacements (k,), m."""
-    initial: Array
-    """Mean error (k, seeds) of the start, m: displacements chained from the first taxel."""
-    final: Array
-    """Mean error (k, seeds) of the maximum-likelihood estimate, m; NaN where it is no minimum."""
-
-
-def noise_sweep(
-    poses: Array, pairs: NDArray[np.int64], initial_errors: Array, seeds: int, turn: float = TURN
-) -> NoiseSweep:
-    """Solve graphs whose initial estimates have mean errors `initial_errors` (k,), m.
-
-    The initial estimate chains the displacements along a breadth-first tree from the first taxel.
-    turn, rad/m: ratio of the rotation noise to the displacement noise. The noise of a seed is the
-    same at every level, scaled.
-    """
-    truth = poses[:, :3, 3]
-
-    def case(sigma: float, seed: int) -> tuple[float, float]:
-        rng = random_stream(seed, "figure 9")
-        graph = perturbed_graph(poses, pairs, sigma, turn * sigma, rng)
-        solution = graph.solve(start="tree", keep_iterates=True)
-        assert solution.iterates is not None
-        first, last = (
-            float(np.linalg.norm(aligned(p[:, :3, 3], truth) - truth, axis=1).mean())
-            for p in (solution.iterates[0], solution.poses)
-        )
-        return first, last if solution.is_optimal else float("nan")
-
-    unit = 1e-4
-    gain = np.mean([case(unit, seed)[0] for seed in range(seeds)]) / unit
-    sigmas = np.asarray(initial_errors, dtype=float) / gain
-    errors = np.array([[case(float(s), seed) for seed in range(seeds)] for s in sigmas])
-    return NoiseSweep(sigmas, errors[..., 0], errors[..., 1])

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..contact import ContactModel
 from ..core.arrays import Array, sums_by_group
 from .data.global_parameters import MOTION, MOVES, PRIORS, SIZES, WARMING
 from .data.measurements import Measurements
 from .data.pairs import near_pairs
+from .data.resolve_belief import contact_model
 from .joint.contacts import Contacts, LinearizedContacts
 from .joint.deviations import Deviations
 from .joint.known_past import KnownPast
@@ -76,9 +76,7 @@ class CalibratedSkin:
         belief, response = calibration.belief, calibration.response
         assert belief is not None
         if belief.contact != data.model.name:
-            material = belief.material
-            model = ContactModel(belief.contact, material.poisson, material.thickness)
-            data = replace(data, belief=belief, model=model)
+            data = replace(data, belief=belief, model=contact_model(belief))
             data = data.at_contacts(data.body.closest(data.points))
         fit_noise = np.nan if calibration.fit is None else calibration.fit.noise
         noise = fit_noise / data.sigma if np.isfinite(fit_noise) and fit_noise > 0 else 1.0

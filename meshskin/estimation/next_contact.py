@@ -7,12 +7,13 @@ variances, which the largest dominate. Global parameters are taken as known.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..contact import AUTO, ContactModel, Patches
+from ..contact import AUTO, Patches
 from ..core.arguments import check_integer
 from ..core.arrays import Array
 from ..core.errors import CalibrationError, ContactError
@@ -22,7 +23,7 @@ from ..core.value import Value
 from . import chart
 from .data.measurements import NOMINAL_NOISE
 from .data.pairs import MAX_SLANT
-from .data.resolve_belief import with_valid_model
+from .data.resolve_belief import contact_model, with_valid_model
 from .joint.contacts import Contacts
 from .joint.pressure import disc_means
 from .uncertainty.observability import censored_information
@@ -88,7 +89,7 @@ def next_contacts(
     k = check_integer("number of next contacts", k, least=1, error=CalibrationError)
     belief = _resolved(calibration, belief)
     modulus = calibration.modulus or belief.material.effective_modulus
-    radius = float(_patches(np.zeros((1, 2)), belief, modulus).first[0])
+    radius = float(reference_patches(belief, np.zeros((1, 2)), modulus).first[0])
     points, covariance = _known(calibration, belief, radius)
     near = np.flatnonzero(np.isfinite(points[:, 0]))
     points, covariance, ids = points[near], covariance[near], calibration.ids[near]
@@ -179,17 +180,23 @@ def candidates_about(
 ) -> Array:
     """Candidate points (c, 3), m, about the `targets` taxels with the largest `variance` (n,)."""
     worst = np.argsort(-variance, kind="stable")[:targets]
+    return candidates_around(charts[worst], radius, RINGS)
+
+
+def candidates_around(charts: chart.Charts, radius: float, rings: Sequence[float]) -> Array:
+    """Points (c, 3), m, at the origin of each chart and on circles of `rings`, in units of `radius`
+    (m), about it."""
     angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    offsets = radius * np.concatenate([[[0.0, 0.0]], *(ring * circle for ring in RINGS)])
-    owner = np.repeat(worst, len(offsets))
-    return charts[owner].at(np.tile(offsets, (len(worst), 1)))
+    offsets = radius * np.concatenate([[[0.0, 0.0]], *(ring * circle for ring in rings)])
+    count = len(charts.points)
+    return charts[np.repeat(np.arange(count), len(offsets))].at(np.tile(offsets, (count, 1)))
 
 
 def valid_contacts(points: Array, belief: Belief, modulus: float) -> Closest:
     """The points of the body nearest to `points` (m, 3), m, where its contact model holds."""
     hit = belief.body.closest(points)
-    valid = _model(belief).is_valid(
+    valid = contact_model(belief).is_valid(
         force=belief.force_reference or 0.0,
         curvature=hit.curvature,
         indenter_radius=belief.indenter.radius,
@@ -207,7 +214,7 @@ def expected_slopes(
     """
     from scipy.spatial import cKDTree
 
-    patches = _patches(hit.curvature, belief, modulus)
+    patches = reference_patches(belief, hit.curvature, modulus)
     sigma = belief.noise_sigma
     if sigma is None:
         sigma = NOMINAL_NOISE * float(np.median(patches.peak))
@@ -227,14 +234,9 @@ def expected_slopes(
     return contact, taxel, (np.sqrt(weight) * scale)[:, None] * along
 
 
-def _model(belief: Belief) -> ContactModel:
-    """The belief's contact model."""
-    return ContactModel(belief.contact, belief.material.poisson, belief.material.thickness)
-
-
-def _patches(curvature: Array, belief: Belief, modulus: float) -> Patches:
+def reference_patches(belief: Belief, curvature: Array, modulus: float) -> Patches:
     """Patches under the reference force at curvatures (m, 2), 1/m, and E*, Pa."""
-    return _model(belief).patches(
+    return contact_model(belief).patches(
         force=np.full(len(curvature), belief.force_reference),
         curvature=curvature,
         indenter_radius=belief.indenter.radius,

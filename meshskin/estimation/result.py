@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -173,8 +173,52 @@ class LearnedResponse(Value):
         )
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EstimateDetails:
+    """What an estimate of n taxels rests on, and what was estimated beside their poses."""
+
+    factors: tuple[str, ...] = ()
+    """What the estimate is made of, priors named."""
+    anchor: str = CONTACT_POINTS
+    """What fixes the pose of the whole."""
+    modulus: float | None = None
+    """E*, Pa, that the pressures were read under."""
+    modulus_sigma: float | None = None
+    """Its standard deviation, Pa, that by the indenter's radius included; None: it was given, not
+    estimated."""
+    unknowns: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Global parameters that were estimated: value and standard deviation, SI units; of modulus and
+    force scale the natural logarithm of the factor to the nominal one
+    (`Calibration.parameter_values`). The deviations are those by the readings, with the believed
+    indenter."""
+    undetermined: tuple[str, ...] = ()
+    """Directions of the global parameters that rest on the priors, in words."""
+    taxel_unknowns: Mapping[str, Array] = field(default_factory=dict)
+    """"gain" (ln) and "offset" (Pa) where estimated: value and standard deviation (n, 2)."""
+    faults: np.ndarray | None = None
+    """What is wrong with a taxel (n,) str, "" where nothing was found; None: not looked for."""
+    rivals: Array | None = None
+    """Other positions (n, 3), m, that fit the readings nearly as well, NaN where there is none; the
+    covariance holds their distance as a standard deviation. None: not looked for."""
+    fit: GoodnessOfFit | None = None
+    """Whether the model explains the readings."""
+    response: LearnedResponse | None = None
+    """The learned response of the taxels; None: the contact model's."""
+    contact_errors: Array | None = None
+    """Errors (m, 3) of the m pressed contacts that were estimated with a learned response: by how
+    much a point is displaced along the first and second principal direction, m, and of ln F; None
+    without one. Not saved."""
+    additions: Array | None = None
+    """Rows (k, 3) of contact, row of the taxel, and what hysteresis, creep, crosstalk and drifts
+    add to its reading there, in Pa under the response; None without these. Not saved."""
+    iterates: Array | None = None
+    """Positions (k, n, 3), m, along the iterations, the start first; None where not kept."""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """Seconds of the stages."""
+
+
 @dataclass(frozen=True)
-class EstimatorResult:
+class EstimatorResult(EstimateDetails):
     """Estimates of n taxels, body frame, SI units; NaN or inf where a taxel is not determined."""
 
     points: Array
@@ -188,51 +232,23 @@ class EstimatorResult:
     """Squared residuals per degree of freedom (n,); NaN with none left."""
     reasons: np.ndarray
     """Why a taxel is undetermined (n,) str; "" where it is determined."""
-    factors: tuple[str, ...] = ()
-    """What the estimate is made of, priors named."""
-    anchor: str = CONTACT_POINTS
-    """What fixes the pose of the whole."""
     pose_covariances: Array | None = None
     """(n, 6, 6) in the taxels' frames, translation first; None: they follow from `covariance` and
     the surface's curvature."""
-    modulus: float | None = None
-    """E*, Pa."""
-    modulus_sigma: float | None = None
-    """Its standard deviation, Pa, that by the indenter's radius included; None: it was given."""
-    unknowns: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Value and standard deviation of each global parameter, as `GlobalParameters.labels`."""
-    undetermined: tuple[str, ...] = ()
-    """Directions of the global parameters that rest on the priors, in words."""
-    taxel_unknowns: Mapping[str, Array] = field(default_factory=dict)
-    """"gain" (ln) and "offset" (Pa) where estimated: value and standard deviation (n, 2)."""
-    faults: np.ndarray | None = None
-    """What is wrong with a taxel (n,) str; "" where nothing was found; None: not looked for."""
-    rivals: Array | None = None
-    """Other positions (n, 3), m, that fit the readings nearly as well; NaN where there is none. The
-    covariance then holds the distance as a standard deviation."""
-    fit: GoodnessOfFit | None = None
-    """Whether the model explains the readings."""
     departures: Mapping[str, float] = field(default_factory=dict)
     """Score, in standard deviations, of each departure from the model that was tested
     (joint/departures.py)."""
     jump: Array = field(default_factory=lambda: np.zeros(3))
     """Displacement (3,), m, of the contacts from one on, where the readings show one."""
-    response: LearnedResponse | None = None
-    """The learned response, where it was learned."""
-    iterates: Array | None = None
-    """Positions (k, n, 3), m, along the iterations, the start first."""
-    contact_errors: Array | None = None
-    """Estimated errors (m, 3) of the contacts, where the response was learned, as
-    `Measurements.contact_errors`."""
-    additions: Array | None = None
-    """Rows (k, 3) of contact, row of the taxel, and what hysteresis, creep, crosstalk and drifts
-    add to its reading there, Pa; None without these."""
     restarted: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Rows of taxels that were started again from the centroid of their contacts."""
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    """Seconds of the stages."""
 
     @property
     def found(self) -> np.ndarray:
         """Whether each taxel is determined (n,) bool."""
         return np.asarray(self.reasons == "")
+
+    @property
+    def details(self) -> dict[str, Any]:
+        """The fields of EstimateDetails by name."""
+        return {f.name: getattr(self, f.name) for f in fields(EstimateDetails)}

@@ -7,17 +7,13 @@ map. What such a recording does show is which taxels answer, and how often.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ..core.provenance import digest, provenance
 from ..recording.recording import Recording
+from ..scene.belief import Belief
 from .calibration import Calibration
 from .uncertainty.verdict import FAIL, Verdict
-
-if TYPE_CHECKING:
-    from ..scene.belief import Belief
 
 CIRCULAR = "its contact points were computed from the map that is sought"
 """Reason of every taxel."""

@@ -1,8 +1,9 @@
-"""Plans for an indenter that is carried to a body at rest: contacts that are pressed one by one.
+"""Contacts that are made one by one: by an indenter that is carried to a body at rest, or by a body
+that is set down on chosen points.
 
-The contacts are on geodesic lanes over the skin, as far apart along a lane as the lanes are. A hand
-reaches each of them; an arm those to which it can bring the indenter within its joint limits and
-clear of the body, turned about the normal as it must.
+The contacts of a plan are on geodesic lanes over the skin, as far apart along a lane as the lanes
+are. A hand reaches each of them; an arm those to which it can bring the indenter within its joint
+limits and clear of the body, turned about the normal as it must.
 """
 
 from __future__ import annotations
@@ -12,21 +13,21 @@ from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from ..core.arrays import Array
 from ..core.errors import ReachError
 from ..core.se3 import inverse, quaternion, transform
-from ..geometry.geodesics import transport_along
+from ..geometry.geodesics import rotate_about, transport_along
 from ..geometry.surface.closest_point import Closest
 from ..robot import collision, posture
 from ..robot.contact_rig import ContactRig
 from ..robot.turntable import with_swivel
 from ..scene.scene import Scene
-from .lane_plan import STEP, posture_reasons, region_radius
-from .lanes import cover, spacing_for
+from .lane_plan import STEP, posture_reasons, reachable_nodes, region_radius
+from .lanes import cover, evenly, spacing_for
 from .left_out import NOT_COVERED, SPARSE, other_contact, taxels_left_out
 from .path import Path, Plan
-from .point_contacts import nearest_neighbour_order
 
 CONTACTS = 8
 """Contacts per taxel that leave none of them with fewer than left_out.ENOUGH: on the paper's
@@ -79,15 +80,9 @@ def _sparse(left_out: dict[int, str], spacing: float) -> str:
 
 def _on_lanes(rig: ContactRig, sites: Array, spacing: float, margin: float) -> Closest:
     """Points on the surface `spacing`, m, apart along geodesic lanes and from lane to lane."""
-    step = min(STEP, 0.8 * spacing)
     radius = region_radius(sites, margin, rig.sensing_radius)
-    parts = []
-    for lane in cover(rig.body, sites, spacing, radius, step):
-        length = np.linalg.norm(np.diff(lane.point, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(length)])
-        count = max(round(along[-1] / spacing), 1)
-        even = np.linspace(0.0, along[-1], count + 1)
-        parts.append(np.stack([np.interp(even, along, x) for x in lane.point.T], axis=1))
+    lanes = cover(rig.body, sites, spacing, radius, min(STEP, 0.8 * spacing))
+    parts = [evenly(lane.point, spacing, 1) for lane in lanes]
     return rig.body.surface.nearest(np.concatenate(parts) if parts else sites)
 
 
@@ -156,3 +151,57 @@ def _table(scene: Scene, path: Path) -> pa.Table:
     return pa.table(
         {n: c for names, rows in columns.items() for n, c in zip(names, rows.T, strict=True)}
     )
+
+
+def nearest_neighbour_order(points: Array) -> NDArray[np.intp]:
+    """The order (k,) of points (k, 3), from the first, in which each next one is the nearest."""
+    order = [0]
+    remaining = np.ones(len(points), dtype=bool)
+    remaining[0] = False
+    while remaining.any():
+        distance = np.linalg.norm(points - points[order[-1]], axis=1)
+        order.append(int(np.argmin(np.where(remaining, distance, np.inf))))
+        remaining[order[-1]] = False
+    return np.array(order, dtype=np.intp)
+
+
+def point_contacts(
+    rig: ContactRig, points: Array, steps: int, dt: float
+) -> tuple[list[Path], Array]:
+    """A path at rest on each of the points (k, 3) that can be touched, in their order.
+
+    Each path has `steps` rows of `dt` s. The second result is the reason (k,) why a point cannot be
+    touched, "" where it can. Each posture is near the one before and far from the joint limits.
+    """
+    hit = rig.body.closest(points)
+    reason = rig.contact_reasons(hit.point, hit.normal)
+    rows = np.flatnonzero(reason == "")
+    if not len(rows):
+        return [], reason
+    tangents = np.concatenate([transport_along(normal[None]) for normal in hit.normal[rows]])
+    if rig.arm is None:
+        poses = rig.contact_poses(hit.point[rows], hit.normal[rows], tangents)
+        postures = [None] * len(rows)
+    else:
+        nodes, usable, reason[rows] = reachable_nodes(
+            rig, hit.point[rows], hit.normal[rows], tangents, anchor_spacing=1
+        )
+        found = np.flatnonzero(reason[rows] == "")
+        spin, joints = posture.nearest_postures(nodes, usable, found)
+        rows, normals = rows[found], hit.normal[rows[found]]
+        headings = rotate_about(normals, tangents[found], spin)
+        poses = rig.contact_poses(hit.point[rows], normals, headings)
+        postures = list(joints[:, None])
+    paths = [
+        Path(
+            dt=dt,
+            points=np.repeat(hit.point[k : k + 1], steps, axis=0),
+            normals=np.repeat(hit.normal[k : k + 1], steps, axis=0),
+            poses=np.repeat(pose[None], steps, axis=0),
+            twists=np.zeros((steps, 6)),
+            faces=np.repeat(hit.face[k], steps),
+            postures=q,
+        )
+        for k, pose, q in zip(rows, poses, postures, strict=True)
+    ]
+    return paths, reason

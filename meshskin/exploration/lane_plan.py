@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array, Index, ranges, runs
+from ..core.arrays import Array, Index, median_spacing, ranges, runs
 from ..core.errors import ReachError
 from ..core.progress import Progress, Stage
 from ..core.se3 import inverse
@@ -23,8 +23,7 @@ from ..scene.settings import Exploration
 from .lanes import cover, spacing_for
 from .left_out import NOT_COVERED, SPARSE, Blocked, other_contact, taxels_left_out, too_wide
 from .path import Path, Plan
-from .timing import arm_path, free_path
-from .tour import ContactPath, contact_paths
+from .tour import ContactPath, arm_path, contact_paths, free_path
 
 STEP = 3e-3
 """Largest distance of samples along a lane, m: about half the distance of neighbouring taxels."""
@@ -124,12 +123,9 @@ def region_radius(sites: Array, margin: float, sensing_radius: float) -> float:
     farther apart 1.5 sensing radii: beyond one no taxel feels a contact, and the rest keeps pieces
     of lanes long enough next to places where the indenter does not fit.
     """
-    from scipy.spatial import cKDTree
-
     if len(sites) < 2:
         return margin
-    nearest = cKDTree(sites).query(sites, 2)[0][:, 1]
-    return max(margin, min(0.75 * float(np.median(nearest)), 1.5 * sensing_radius))
+    return max(margin, min(0.75 * median_spacing(sites), 1.5 * sensing_radius))
 
 
 def _arm_segments(

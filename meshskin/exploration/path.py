@@ -60,38 +60,32 @@ class Path(Value):
     @classmethod
     def concatenate(cls, segments: Sequence[Path]) -> Path:
         """The path that follows the segments one after the other."""
-        postures = [s.postures for s in segments if s.postures is not None]
-        breaks = np.cumsum([len(s.points) for s in segments])[:-1]
+        given = [s.postures for s in segments if s.postures is not None]
+        postures = np.concatenate(given) if len(given) == len(segments) else None
+        breaks = tuple(np.cumsum([len(s.points) for s in segments])[:-1].tolist())
         rows: dict[str, Any] = {
             name: np.concatenate([getattr(s, name) for s in segments]) for name in ROWS
         }
-        return cls(
-            dt=segments[0].dt,
-            **rows,
-            breaks=tuple(int(k) for k in breaks),
-            postures=np.concatenate(postures) if len(postures) == len(segments) else None,
-        )
+        return cls(segments[0].dt, **rows, breaks=breaks, postures=postures)
 
     @property
     def segments(self) -> list[Path]:
         """The segments, each as a path."""
-        ends = [0, *self.breaks, len(self.points)]
         found = []
-        for k, (first, last) in enumerate(pairwise(ends)):
-            rows = {name: getattr(self, name)[first:last] for name in ROWS}
+        for k, (first, last) in enumerate(pairwise([0, *self.breaks, len(self.points)])):
             posture = None if self.postures is None else self.postures[k : k + 1]
-            found.append(Path(dt=self.dt, **rows, postures=posture))
+            found.append(Path(self.dt, **self._rows(slice(first, last)), postures=posture))
         return found
+
+    def _rows(self, rows: slice) -> dict[str, Any]:
+        """Some rows of the fields that have one per sample."""
+        return {name: getattr(self, name)[rows] for name in ROWS}
 
     def truncated(self, count: int) -> Path:
         """The path's first `count` rows."""
         breaks = tuple(row for row in self.breaks if row < count)
-        return replace(
-            self,
-            **{name: getattr(self, name)[:count] for name in ROWS},
-            breaks=breaks,
-            postures=None if self.postures is None else self.postures[: len(breaks) + 1],
-        )
+        postures = None if self.postures is None else self.postures[: len(breaks) + 1]
+        return replace(self, **self._rows(slice(count)), breaks=breaks, postures=postures)
 
     def resampled(self, dt: float, body: Body) -> Path:
         """The path at a period `dt`, s, a multiple of its own.
@@ -99,20 +93,12 @@ class Path(Value):
         Every segment keeps its first row and each row `dt` later; the faces are those of `body`,
         which may be another mesh of the same surface.
         """
-        stride, segments = round(dt / self.dt), []
+        segments = []
         for segment in self.segments:
-            points, poses = segment.points[::stride], segment.poses[::stride]
-            segments.append(
-                replace(
-                    segment,
-                    dt=dt,
-                    points=points,
-                    normals=segment.normals[::stride],
-                    poses=poses,
-                    twists=body_twists(poses, dt),
-                    faces=body.closest(points).face,
-                )
-            )
+            rows = segment._rows(slice(None, None, round(dt / self.dt)))
+            rows["twists"] = body_twists(rows["poses"], dt)
+            rows["faces"] = body.closest(rows["points"]).face
+            segments.append(replace(segment, dt=dt, **rows))
         return Path.concatenate(segments)
 
     @property
@@ -137,17 +123,12 @@ class Plan(Value, Card, Tabular):
     """The contacts to press with a carried indenter, see `contact_plan`; None: the body moves."""
 
     def __repr__(self) -> str:
-        path = self.path
-        if self.contacts is not None:
-            return (
-                f"<Plan: {len(path.points)} contacts to press, {1e3 * self.spacing:.4g} mm apart, "
-                f"{len(path.unreachable)} taxels left out>"
-            )
-        return (
-            f"<Plan: {len(path.breaks) + 1} segments, {path.dt * len(path.points):.4g} s of "
-            f"sliding, lanes {1e3 * self.spacing:.4g} mm apart, {len(path.unreachable)} taxels "
-            "left out>"
-        )
+        path, apart = self.path, f"{1e3 * self.spacing:.4g} mm apart"
+        what = f"{len(path.points)} contacts to press, {apart}"
+        if self.contacts is None:
+            sliding = f"{path.dt * len(path.points):.4g} s of sliding"
+            what = f"{len(path.breaks) + 1} segments, {sliding}, lanes {apart}"
+        return f"<Plan: {what}, {len(path.unreachable)} taxels left out>"
 
     def facts(self) -> dict[str, str]:
         """Segments or contacts, time, what is left out and why, for a notebook."""

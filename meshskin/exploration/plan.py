@@ -25,7 +25,7 @@ from ..skin.skin import Skin
 from .contact_plan import contact_plan
 from .lane_plan import lane_plan
 from .parallels import is_cap, parallels, reachable_parallels
-from .path import Path, Plan
+from .path import Plan
 
 CONTACTS = 70.0
 """Contacts per taxel of `explore` by default: lanes 3.5 mm apart on the paper's sphere."""
@@ -50,17 +50,13 @@ def plan_exploration(scene: Scene) -> Plan:
     if exploration.pattern == "parallels" or (exploration.pattern == "auto" and is_cap(scene)):
         scene.check_contact(scene.body.closest(scene.skin.positions).curvature)
         try:
-            return Plan(_parallels(scene), exploration.lane_spacing)
+            arm = scene.rig.arm
+            path = reachable_parallels(scene) if arm else parallels(scene, 0.0, scene.loop.dt)
+            return Plan(path, exploration.lane_spacing)
         except ReachError:
             if exploration.pattern == "parallels":
                 raise
     return lane_plan(scene, scene.rig)
-
-
-def _parallels(scene: Scene) -> Path:
-    if scene.rig.arm is None:
-        return parallels(scene, 0.0, scene.loop.dt)
-    return reachable_parallels(scene)
 
 
 def explore(
@@ -114,10 +110,8 @@ def explore(
         rig = scene.rig
     except ContactError:  # a wide contact: beyond the models that a scene is simulated with
         rig = scene.rig_of(scene.indentation.patch("field", _typical_curvature(scene)))
-    if scene.indenter.carried_by is None:
-        plan = lane_plan(scene, rig, progress)
-    else:
-        plan = contact_plan(scene, rig)
+    carried = scene.indenter.carried_by is not None
+    plan = contact_plan(scene, rig) if carried else lane_plan(scene, rig, progress)
     warn_left_out("reached", plan.unreachable.values(), len(skin))
     return plan
 

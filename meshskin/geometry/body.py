@@ -17,7 +17,7 @@ from ..core.arrays import Array
 from ..core.errors import MeshError
 from ..core.notebook import Card
 from ..core.value import Value
-from . import primitives, tessellate
+from . import primitives
 from .mesh import link_mesh, mesh_file
 from .mesh.check import check_extent, check_mesh
 from .mesh.self_intersection import ray_scene
@@ -259,7 +259,7 @@ class Body(Value, Card):
         closest point, 0.004 um in the distance, 7e-5 deg in the normal, 6e-5 of the curvature.
         """
         _check_sizes(faces, radius=radius)
-        vertices, triangles = tessellate.sphere(faces)
+        vertices, triangles = primitives.sphere_mesh(faces)
         return cls._of("sphere", radius * vertices, triangles, primitives.Sphere(radius))
 
     @classmethod
@@ -267,21 +267,21 @@ class Body(Value, Card):
         """Ellipsoid about the origin with semi-axes `radii` (3,) along x, y, z, in m."""
         a, b, c = check_vector("semi-axes of a primitive", radii, error=MeshError).tolist()
         _check_sizes(faces, a=a, b=b, c=c)
-        vertices, triangles = tessellate.ellipsoid(np.array([a, b, c]), faces)
+        vertices, triangles = primitives.ellipsoid_mesh(np.array([a, b, c]), faces)
         return cls._of("ellipsoid", vertices, triangles, primitives.Ellipsoid((a, b, c)))
 
     @classmethod
     def cylinder(cls, radius: float, length: float, faces: int = FACES) -> Body:
         """Cylinder along z of `length` with flat caps, in m."""
         _check_sizes(faces, radius=radius, length=length)
-        vertices, triangles = tessellate.cylinder(radius, length, faces)
+        vertices, triangles = primitives.cylinder_mesh(radius, length, faces)
         return cls._of("cylinder", vertices, triangles, primitives.Cylinder(radius, length))
 
     @classmethod
     def capsule(cls, radius: float, length: float, faces: int = FACES) -> Body:
         """Cylinder along z of `length` with half spheres of `radius` on its ends, in m."""
         _check_sizes(faces, radius=radius, length=length)
-        vertices, triangles, seams = tessellate.capsule(radius, length, faces)
+        vertices, triangles, seams = primitives.capsule_mesh(radius, length, faces)
         return cls._of("capsule", vertices, triangles, primitives.Capsule(radius, length), seams)
 
     @classmethod
@@ -290,7 +290,7 @@ class Body(Value, Card):
         _check_sizes(faces, minor=minor, major=major)
         if not major > minor:
             raise MeshError("the torus intersects itself", value=f"{major} m", limit=f"> {minor} m")
-        vertices, triangles = tessellate.torus(major, minor, faces)
+        vertices, triangles = primitives.torus_mesh(major, minor, faces)
         return cls._of("torus", vertices, triangles, primitives.Torus(major, minor))
 
     @classmethod

@@ -22,7 +22,7 @@ import pyarrow as pa
 
 from ..core import arrow
 from ..core.arguments import check_name, repr_short
-from ..core.arrays import Array
+from ..core.arrays import Array, nearest_rows
 from ..core.errors import RecordingError
 from ..core.notebook import Card, data_frame
 from ..core.value import Value
@@ -220,12 +220,10 @@ class Recording(Value, Card):
     @cached_property
     def _nearest_contact(self) -> np.ndarray:
         """Row (k,) of the contact nearest in time to each reading."""
-        times, last = _column(self.readings, "time"), max(len(self.time) - 1, 0)
-        row = np.minimum(np.searchsorted(self.time, times), last)
-        if not last or np.array_equal(self.time[row], times):
-            return row
-        before = np.maximum(row - 1, 0)
-        return np.where(times - self.time[before] < self.time[row] - times, before, row)
+        times = _column(self.readings, "time")
+        if len(self.time) < 2:
+            return np.zeros(len(times), dtype=np.intp)
+        return nearest_rows(self.time, times)
 
     @property
     def frame(self) -> float:
@@ -285,7 +283,8 @@ class Recording(Value, Card):
             elif part != "motion":
                 raise RecordingError(
                     f"no recording at {path}: {file.name} is missing",
-                    remedy="check the path; a log may be contacts.csv and readings.csv in a folder",
+                    remedy="check the path; a log is contacts.csv and readings.csv in a folder, "
+                    "or a file and a map of it: meshskin init LOG, then --map",
                 )
         if len({header.get("recording_id") for header in headers.values()}) > 1:
             raise RecordingError(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arguments import check_type
-from ..core.arrays import Array
+from ..core.arrays import Array, nearest_rows
 from ..core.errors import ConfigError, RecordingError
 from .clock_offset import ClockOffset, clock_offset
 from .log_map import LogMap, StreamMap
@@ -70,7 +70,7 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
         _interpolate(part, frames, s, m, tared[s.name], offset)
         column += len(s.fields)
     pressed = [
-        tared[s.name].in_contact[_nearest(_skin_times(s, m, offset), frames)] for s, m in skins
+        tared[s.name].in_contact[nearest_rows(_skin_times(s, m, offset), frames)] for s, m in skins
     ]
     in_contact = np.any(pressed, axis=0)
     force = _force(frames, in_contact, pairs)
@@ -197,12 +197,6 @@ def _interpolate(
         out[(frames > gap.start - late) & (frames < gap.end - late)] = np.nan
 
 
-def _nearest(times: Array, frames: Array) -> NDArray[np.intp]:
-    """Row of the time nearest to each frame."""
-    after = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
-    return np.where(frames - times[after - 1] < times[after] - frames, after - 1, after)
-
-
 def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
     """Names and angles (n, k), rad, of all joints at the frames, NaN in gaps of a joint's own.
     Raises ConfigError for a joint of two streams."""
@@ -270,7 +264,7 @@ def _force_at_rest(
 ) -> list[str]:
     """The note on contacts whose force is not zero where no taxel answers, if it is not."""
     times = stream.times - (given.delay or 0.0)
-    row = _nearest(frames, times)
+    row = nearest_rows(frames, times)
     within = (times >= frames[0]) & (times <= frames[-1])
     force = stream.values[within & ~in_contact[row], stream.fields.index("force")]
     force = force[np.isfinite(force)]

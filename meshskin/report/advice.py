@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from ..estimation.uncertainty.metrics import is_ideal, nees_band
 from .data import ReportData, has_gauge_freedom
 from .markup import paragraphs, table
 from .theme import significant
@@ -175,8 +176,6 @@ def _model_errors(data: ReportData) -> list[str]:
 
 def is_noiseless(data: ReportData) -> bool:
     """Whether the stated uncertainty is that of ideal data."""
-    from ..estimation.uncertainty.metrics import is_ideal
-
     return is_ideal(data.calibration)
 
 
@@ -199,8 +198,6 @@ def _noise(data: ReportData) -> list[str]:
 
 def _consistency(data: ReportData) -> list[str]:
     """What to do where the errors do not agree with the stated uncertainty."""
-    from ..estimation.uncertainty.metrics import nees_band
-
     given = data.metrics.get("nees")
     mean = given.get("mean") if isinstance(given, Mapping) else given
     count = int(data.located.sum())

@@ -25,18 +25,6 @@ HIGHEST = 2.0
 """Force, in the reference, up to which the axis goes: peaks would hide the rest."""
 
 
-def settling_time(time: ArrayLike, force: ArrayLike, reference: float, touch: float) -> float:
-    """Time (s) from `touch` until the force stays within 2 % of `reference` for 0.2 s, or NaN."""
-    t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
-    after = t >= touch
-    t, outside = t[after], np.abs(f[after] - reference) > SETTLING_BAND * abs(reference)
-    if not len(t):
-        return float("nan")
-    breaks = np.concatenate([[touch], t[outside], [t[-1]]])
-    quiet = np.flatnonzero(np.diff(breaks) >= min(0.2, t[-1] - touch))
-    return float(breaks[quiet[0]] - touch) if len(quiet) else float("nan")
-
-
 def without_pauses(time: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
     """Times (m,) and values (m,) for a line, with NaN where time is missing between two of them."""
     t, v = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
@@ -74,21 +62,19 @@ def force(
     time: ArrayLike,
     force: ArrayLike,
     reference: float | ArrayLike | None = None,
-    settling: float | None = None,
+    settling: float = float("nan"),
     steady: ArrayLike | None = None,
 ) -> Figure:
     """Fig. 4: contact force and its reference: whole run, touch and settling, steady force.
 
     time (m,), s; force (m,), N, NaN where it is not controlled; reference: one value or (m,), N;
-    settling: settling time after the first contact, s (by default it follows from the force);
+    settling: settling time after the first contact, s, NaN where it is not known;
     steady (m,): where the force is steady (by default from then on).
     """
     t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
     ref = None if reference is None else np.broadcast_to(np.asarray(reference, float), t.shape)
     goal = float(ref[-1]) if ref is not None and len(ref) else float("nan")
     touch = float(t[np.argmax(f > 0)]) if np.any(f > 0) else 0.0
-    if settling is None:
-        settling = settling_time(t, f, goal, touch)
     window = max(4 * settling, 0.05) if np.isfinite(settling) else 0.5
     near = (t >= touch - 0.15 * window) & (t <= touch + window)
     held = t >= touch + (window if np.isfinite(settling) else 0.0)
@@ -198,7 +184,8 @@ def errors(distances: Mapping[str, ArrayLike], bound: float | None = None) -> Fi
         np.add.outer(bases, ticks).ravel(), [compact(tick) for tick in ticks] * len(rows)
     )
     axes.set(ylim=(0, step * max(len(rows), 1)), xlabel="position error (mm)", ylabel="taxels")
-    _decade_axis(axes, low, high)
+    axes.set(xscale="log", xlim=(low, high))
+    theme.log_ticks(axes.xaxis, numticks=9, minor=False)
     if bound is not None and np.isfinite(bound) and rows:
         _draw_bound(axes, bound * MM, on_right=bound * MM > low**0.4 * high**0.6)
     return figure
@@ -229,23 +216,6 @@ def _draw_bound(axes: Axes, bound: float, on_right: bool) -> None:
         textcoords="offset points",
         ha="right" if on_right else "left",
     )
-
-
-def _decade_axis(axes: Axes, low: float, high: float) -> None:
-    """Make the x axis logarithmic, with decades as plain numbers."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
-    axes.set_xscale("log")
-    axes.set_xlim(low, high)
-    axes.xaxis.set_major_locator(LogLocator(numticks=9))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _decade(value)))
-    axes.xaxis.set_minor_locator(NullLocator())
-
-
-def _decade(value: float) -> str:
-    """A power of ten: 0.01, 1 or 100; outside 0.001 to 1000 such as 10⁻⁶."""
-    text = compact(value)
-    return text if 1e-3 <= value <= 1e3 else text.removeprefix("1 × ")
 
 
 def _decades(values: Array) -> tuple[float, float]:

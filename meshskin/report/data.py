@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.arrays import Array
+from ..estimation.calibration import Calibration
+from ..estimation.demonstration import Demonstration
+from ..estimation.uncertainty.metrics import position_errors, summary_mm
+from ..geometry.body import Body
+from ..recording.recording import Recording
+from ..skin.skin import Skin
 from .plane import MM, Plane, tangent_plane
-
-if TYPE_CHECKING:
-    from ..estimation.calibration import Calibration
-    from ..estimation.demonstration import Demonstration
-    from ..geometry.body import Body
-    from ..recording.recording import Recording
-    from ..skin.skin import Skin
 
 METHOD_NAMES = {
     "joint": "joint maximum likelihood",
@@ -97,16 +96,27 @@ class ReportData:
 
     calibration: Calibration
     recording: Recording | None = None
+    """What was calibrated."""
     truth: Skin | None = None
-    """The true skin; None if unknown."""
+    """The true skin of a simulation; without it the report gives the stated uncertainty in place of
+    errors."""
     comparisons: Mapping[str, Calibration] = field(default_factory=dict)
     """Calibrations of the recording by other methods."""
     demonstration: Demonstration | None = None
+    """The pose graph from the origin; without it, the first pose graph that kept its iterates is
+    shown."""
     metrics: Mapping[str, Any] = field(default_factory=dict)
+    """As in metrics.json."""
     seconds: Mapping[str, float] = field(default_factory=dict)
-    """Seconds of each stage of the run."""
+    """Seconds of each stage of the run; by default those of the calibration."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    """By default that of the calibration."""
     body: Body | None = None
+
+    def __post_init__(self) -> None:
+        stages = {k: v for k, v in self.calibration.seconds.items() if k != "total"}
+        object.__setattr__(self, "seconds", self.seconds or stages)
+        object.__setattr__(self, "provenance", self.provenance or self.calibration.provenance)
 
     @cached_property
     def methods(self) -> Mapping[str, Calibration]:
@@ -220,21 +230,15 @@ class ReportData:
 
     def error_summary(self, method: str) -> dict[str, float]:
         """Mean, rms and max error (mm) of a method, over the taxels that it located."""
-        from ..estimation.uncertainty.metrics import summary_mm
-
         return summary_mm(self.errors[method])
 
 
 def rows_by_id(ids: ArrayLike, values: ArrayLike, wanted: ArrayLike) -> Array:
     """Rows of `values` (n, ...) for the ids `wanted`; NaN where an id is missing."""
-    have, want = np.asarray(ids), np.asarray(wanted)
-    v = np.asarray(values, dtype=float)
-    out = np.full((len(want), *v.shape[1:]), np.nan)
-    row = {int(k): i for i, k in enumerate(have)}
-    for i, k in enumerate(want):
-        if int(k) in row:
-            out[i] = v[row[int(k)]]
-    return out
+    v, row = np.asarray(values, dtype=float), {int(k): i for i, k in enumerate(np.asarray(ids))}
+    missing = np.full((1, *v.shape[1:]), np.nan)
+    rows = [row.get(int(k), -1) for k in np.asarray(wanted)]
+    return np.concatenate([v, missing])[np.array(rows, dtype=int)]
 
 
 def has_gauge_freedom(calibration: Calibration) -> bool:
@@ -244,8 +248,6 @@ def has_gauge_freedom(calibration: Calibration) -> bool:
 
 def _errors(calibration: Calibration, truth: Skin, ids: np.ndarray) -> Array:
     """Distances (n,), m, from the truth for the taxels `ids`; NaN where there is no estimate."""
-    from ..estimation.uncertainty.metrics import position_errors
-
     found = np.isfinite(calibration.positions).all(axis=1).sum()
     gauge = has_gauge_freedom(calibration) and found >= 3
     return rows_by_id(calibration.ids, position_errors(calibration, truth, gauge), ids)

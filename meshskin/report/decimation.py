@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.arrays import Array, sums_by_group
+from ..core.arrays import Array, median_spacing, sums_by_group
 from ..geometry.surface.fans import vertex_normals
-from .plane import finite_rows, spacing
+from .plane import finite_rows
 
 Faces = NDArray[np.int64]
 
@@ -46,7 +46,7 @@ def _near(v: Array, f: Faces, focus: Array, faces: int) -> NDArray[np.bool_]:
         return np.zeros(len(v), dtype=bool)
     distance = cKDTree(focus).query(v)[0]
     radius = np.sort(distance[f].max(axis=1))[faces]
-    if radius < 2 * spacing(focus):
+    if radius < 2 * median_spacing(focus):
         return np.zeros(len(v), dtype=bool)
     return np.asarray(distance <= radius)
 

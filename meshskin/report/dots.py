@@ -38,8 +38,6 @@ def dots(
     label: what the numbers are. limits: vertical lines, by what they are. bands: (low, high) by
     name of the row, drawn behind the dots.
     """
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     names, kinds = list(rows), list(dict.fromkeys(kind for row in rows.values() for kind in row))
     height = ROW * len(names) + 0.1
     wide = 0.075 * max(map(len, names), default=10) + 0.3
@@ -61,9 +59,7 @@ def dots(
     values = values[np.isfinite(values)]
     if len(values) and 0 < LOGARITHMIC * values.min() < values.max():
         axes.set_xscale("log")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: theme.compact(x)))
-        axes.xaxis.set_minor_formatter(NullFormatter())
+        theme.log_ticks(axes.xaxis, (1, 2, 5))
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlabel(label)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from . import theme
 from .markup import SavedFigure, paragraphs, saved_figure
 from .plane import MM
@@ -21,9 +23,10 @@ NAME = "response"
 TITLE = "Learned response of the taxels"
 CAPTION = (
     "Left: what a taxel at a distance from the contact point reads at the median force, before the "
-    "compression of strong readings, beside the contact model that it corrects. Right: the reading "
-    "over the level before compression. Bands: ± 2 standard deviations, of the scale, too, which "
-    "the compression shares. A model outside the band does not hold for this skin."
+    "compression of strong readings, beside the contact model that it corrects, drawn as high. "
+    "Right: the reading over the level before compression. Bands: ± 2 standard deviations, of the "
+    "scale, too, which the compression shares. A model outside the band does not hold for this "
+    "skin."
 )
 NOT_KNOWN = (
     "Not in this response: delays, patches that are not round, and, from raw readings, "
@@ -49,7 +52,8 @@ def figure(response: LearnedResponse) -> Figure:
     band(profile, distance, response.profile, response.profile_sigma)
     band(curve, level, response.reading, response.reading_sigma)
     dashed: dict[str, Any] = {"color": theme.WARNING, "lw": 1.0, "ls": "--"}
-    profile.plot(distance, scale * response.model, label="contact model", **dashed)
+    height = scale * float(np.max(response.profile) / np.max(response.model))
+    profile.plot(distance, height * response.model, label="contact model", **dashed)
     curve.plot(level, level, label="no compression", **dashed)
     profile.set(
         xlabel="distance from the contact point (mm)",

@@ -11,7 +11,7 @@ from ..core.arrays import Array
 from . import theme
 from .data import Iterations, ReportData
 from .plane import MM, Plane, drawn_scale, finite_rows, path_with_breaks, pitch
-from .theme import compact, grouped, significant
+from .theme import grouped, significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -199,7 +199,6 @@ def coverage(data: ReportData) -> Figure:
     Untouched taxels are not drawn where there is no truth that tells where they are.
     """
     from matplotlib.colors import LogNorm
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     counts, plane = np.asarray(data.calibration.readings, dtype=float), data.plane
     xy, diameter = plane.project(data.display_positions), 2 * data.disc_radius * MM
@@ -221,9 +220,11 @@ def coverage(data: ReportData) -> Figure:
     least, most = (counts[touched].min(), counts[touched].max()) if touched.any() else (1.0, 1.0)
     discs.set_norm(LogNorm(least, max(most, 2 * least)))
     bar = theme.color_bar(figure, discs, axes, "readings of the taxel")
-    bar.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: compact(value)))
-    bar.ax.yaxis.set_minor_locator(NullLocator())
+    # less than a decade of 1, 2, 5 may have one tick: even steps then
+    even = () if most > 5 * least else np.unique(np.linspace(least, most, 5).round())
+    theme.log_ticks(bar.ax.yaxis, (1, 2, 5), minor=False)
+    if len(even):
+        bar.set_ticks(even)
     missed = ~touched & drawn
     if missed.any():
         _ellipses(axes, xy[missed], diameter, facecolors="white", edgecolors=theme.WARNING)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -14,17 +13,14 @@ from typing import TYPE_CHECKING, Any
 from ..core.atomic_io import write_text
 from ..core.progress import Progress
 from . import markup
+from .data import ReportData
+from .figure_set import draw_figures
 from .markup import Content
+from .sections import content
 
 if TYPE_CHECKING:
-    from ..estimation.calibration import Calibration
     from ..estimation.cross_validation import CrossValidation
-    from ..estimation.demonstration import Demonstration
-    from ..geometry.body import Body
-    from ..recording.recording import Recording
-    from ..skin.skin import Skin
     from ..study.sensitivity.budget import BudgetReport
-    from .data import ReportData
 
 
 def write(path: str | Path, content: Content) -> Path:
@@ -60,48 +56,30 @@ def _scripts() -> str:
     return f"<script>{plotly}</script>\n<script>{_resource('view.js')}</script>"
 
 
+OPTIONS = (*(item.name for item in fields(ReportData)), "budget", "validation", "progress")
+"""Names of the options of a report."""
+
+
 def report(
     path: str | Path,
     *,
-    body: Body | None,
-    calibration: Calibration,
-    recording: Recording | None = None,
-    truth: Skin | None = None,
-    comparisons: Mapping[str, Calibration] | None = None,
-    demonstration: Demonstration | None = None,
-    metrics: Mapping[str, Any] | None = None,
-    seconds: Mapping[str, float] | None = None,
-    provenance: Mapping[str, Any] | None = None,
     budget: BudgetReport | None = None,
     validation: CrossValidation | None = None,
     progress: Progress | None = None,
+    **facts: Any,
 ) -> list[Path]:
     """Write the page `path` and, in the folder figures/ beside it, every figure as PNG and SVG.
 
-    truth: the true skin of a simulation; without it the report gives the stated uncertainty in
-    place of errors. comparisons: calibrations of the same recording by other methods.
-    demonstration: the pose graph from the origin; without it, the first pose graph that kept its
-    iterates is shown. metrics: as in metrics.json. seconds: of each stage. budget: the decisions
-    of an error budget. validation: what `calibration.cross_validate` gave. progress(stage, done,
-    total): called after each figure of the stage "report".
+    facts: fields of ReportData, at least its calibration; those that are None are left out. budget:
+    the decisions of an error budget. validation: what `calibration.cross_validate` gave.
+    progress(stage, done, total): called after each figure of the stage "report".
 
     Returns the paths written, the page first. Raises OutputError if a file cannot be written.
     """
-    from .data import ReportData
-
+    data = ReportData(**{name: fact for name, fact in facts.items() if fact is not None})
     parts = {"budget": budget, "cross_validation": validation}
-    data = ReportData(
-        calibration,
-        recording,
-        truth,
-        comparisons or {},
-        demonstration,
-        {key: part.metrics() for key, part in parts.items() if part} | dict(metrics or {}),
-        seconds or {k: v for k, v in calibration.seconds.items() if k != "total"},
-        provenance or calibration.provenance,
-        body,
-    )
-    return draw(Path(path), data, progress)[0]
+    metrics = {key: part.metrics() for key, part in parts.items() if part}
+    return draw(Path(path), replace(data, metrics={**metrics, **data.metrics}), progress)[0]
 
 
 def draw(
@@ -111,9 +89,6 @@ def draw(
 
     Returns the paths written, and the names of the figures left out.
     """
-    from .figure_set import draw_figures
-    from .sections import content
-
     started = perf_counter()
     pictures, left_out = draw_figures(path.parent / "figures", data, progress)
     data = replace(

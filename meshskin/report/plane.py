@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.arrays import Array
+from ..core.arrays import Array, median_spacing
 
 MM = 1e3
 """Millimetres per metre."""
@@ -65,18 +65,17 @@ def finite_rows(values: ArrayLike) -> Array:
     return np.asarray(v[np.isfinite(v).all(axis=1)])
 
 
-def tangent_plane(points: ArrayLike, normals: ArrayLike | None = None) -> Plane:
+def tangent_plane(points: ArrayLike, normals: ArrayLike) -> Plane:
     """The tangent plane of a skin at its center, seen from outside.
 
-    points (n, 3), m; normals (n, 3), outward. Rows that are not finite are left out. Without
-    normals it is the plane that fits the points best. The second axis is the projection of the
-    body's y axis, or of its x axis where y is within 26 degrees of the plane's normal.
+    points (n, 3), m; normals (n, 3), outward. Rows that are not finite are left out. Where the
+    normals have no mean it is the plane that fits the points best. The second axis is the
+    projection of the body's y axis, or of its x axis where y is within 26 degrees of the plane's
+    normal.
     """
     p = finite_rows(np.reshape(points, (-1, 3)))
     origin = p.mean(axis=0) if len(p) else np.zeros(3)
-    normal = np.zeros(3)
-    if normals is not None:
-        normal = finite_rows(np.reshape(normals, (-1, 3))).sum(axis=0)
+    normal = finite_rows(np.reshape(normals, (-1, 3))).sum(axis=0)
     if np.linalg.norm(normal) < 1e-9:
         normal = np.linalg.svd(p - origin)[2][-1] if len(p) > 2 else np.array([0.0, 0.0, 1.0])
     normal = normal / np.linalg.norm(normal)
@@ -86,20 +85,10 @@ def tangent_plane(points: ArrayLike, normals: ArrayLike | None = None) -> Plane:
     return Plane(origin, np.stack([np.cross(up, normal), up]))
 
 
-def spacing(points: ArrayLike) -> float:
-    """Median distance (m) from finite points (n, 3) to their nearest neighbors; 0 for one point."""
-    from scipy.spatial import cKDTree
-
-    p = finite_rows(np.reshape(points, (-1, 3)))
-    if len(p) < 2:
-        return 0.0
-    return float(np.median(cKDTree(p).query(p, k=2)[0][:, 1]))
-
-
-def pitch(points: ArrayLike) -> float:
-    """Distance (m) between taxels at points (n, 3) that drawings go by: `spacing`, but not less
-    than LEAST_PITCH, where estimates coincide."""
-    return max(spacing(points), LEAST_PITCH)
+def pitch(points: Array) -> float:
+    """Distance (m) between taxels at points (n, 3) that drawings go by: `median_spacing`, but not
+    less than LEAST_PITCH, where estimates coincide."""
+    return float(np.fmax(median_spacing(points), LEAST_PITCH))
 
 
 def drawn_scale(lengths: Array, wanted: float) -> tuple[float, Array]:

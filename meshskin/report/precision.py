@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from . import markup, theme
 from .data import method_name
 from .markup import Content, SavedFigure, paragraphs, tile
-from .theme import compact, significant
+from .theme import significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -166,24 +166,18 @@ def accuracy_time(
     names = list(stages)[::-1]
     right.barh(names, [stages[name] for name in names], color=theme.ESTIMATE, height=0.6)
     right.tick_params(axis="y", length=0)
-    right.set(xlabel="seconds", title="Time of the stages")
+    right.set(xlabel="seconds", title="Time before the report")
     return figure
 
 
 def decimal_ticks(axes: Axes) -> None:
     """Ticks of logarithmic axes as plain decimal numbers."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         if axis.get_scale() != "log":
             continue
         span = high / low
         subs = (1.0,) if span > 100 else (1.0, 2.0, 5.0) if span > 8 else (1.0, 1.5, 2, 3, 4, 6)
-        axis.set_major_locator(LogLocator(subs=subs, numticks=12))
-        axis.set_major_formatter(
-            FuncFormatter(lambda value, _: compact(value).removeprefix("1 × "))
-        )
-        axis.set_minor_formatter(NullFormatter())
+        theme.log_ticks(axis, subs, numticks=12)
 
 
 HEADER = ("target (mm)", "fastest setting", "seconds", "error (mm)", "numerical part (mm)")

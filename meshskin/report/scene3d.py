@@ -12,15 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.arrays import Array
+from ..geometry.body import Body
 from ..geometry.surface.fans import vertex_normals
-from . import theme
+from ..recording.recording import Recording
+from . import markup, theme
+from .data import ReportData
 from .decimation import decimate
 from .plane import MM, drawn_scale, finite_rows, path_with_breaks, pitch, tangent_plane
 from .theme import compact, grouped, significant
 
 MAX_FACES = 5000
 """Most faces of the body in the page: 0.1 MB."""
-
+SUNK = 1e-3
+"""Depth of the contacts below the body, m, from which it hides them."""
 FIELD_OF_VIEW = 0.31
 """Tangent of half the angle that the body takes of the height of the view: three quarters of what
 plotly's camera sees, so that the numbers at the axes are in view."""
@@ -128,48 +132,56 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
     }
 
 
-def view_3d(
-    *,
-    ids: ArrayLike,
-    poses: ArrayLike,
-    covariances: ArrayLike,
-    mesh: tuple[ArrayLike, ArrayLike] | None = None,
-    truth: ArrayLike | None = None,
-    path: tuple[ArrayLike, ArrayLike] | None = None,
-    heading_observed: bool = False,
-    transparent: bool = False,
-) -> dict[str, Any]:
-    """The figure {"data", "layout"} for plotly.js.
+def section(data: ReportData) -> str:
+    """The 3D view with its caption."""
+    body = data.body
+    below = body is not None and data.recording is not None and _below(body, data.recording)
+    caption = (
+        "Drag to rotate, scroll to zoom, click a legend entry to hide or show it; point at a taxel "
+        "to see its numbers. Frames: x red, y green, z (outward) blue. Ellipsoids: stated 1 sigma "
+        "along the skin, enlarged by the factor in the legend."
+    )
+    if body is not None and len(body.facets.faces) > MAX_FACES:
+        caption += " The mesh of the body is simplified away from the skin."
+    if below:
+        caption += " The body is transparent: the contacts are below its surface."
+    return markup.view_3d(view_3d(data, transparent=below), caption)
 
-    ids (n,); poses (n, 4, 4) of the estimates, NaN where there is none; covariances (n, 3, 3) of
-    the positions, m^2; mesh: vertices and faces of the body; truth (n, 4, 4): true poses; path:
-    contact points (m, 3) and their times (m,), s; all in the body frame, m; transparent: the body,
-    where contacts are below its surface.
+
+def _below(body: Body, recording: Recording) -> bool:
+    """Whether most contacts are more than SUNK below the surface."""
+    points = recording.points[:: max(len(recording.points) // 100, 1)]
+    return len(points) > 0 and float(np.median(body.closest(points).distance)) < -SUNK
+
+
+def view_3d(data: ReportData, transparent: bool) -> dict[str, Any]:
+    """The figure {"data", "layout"} for plotly.js; transparent: the body, where contacts are below
+    its surface.
     """
-    names, estimate = np.asarray(ids), np.asarray(poses, dtype=float)
-    cov = np.asarray(covariances, dtype=float)
-    true = None if truth is None else np.asarray(truth, dtype=float)
-    skin = (estimate if true is None else true)[:, :3, 3]
+    names, poses = data.calibration.ids, np.asarray(data.calibration.poses, dtype=float)
+    positions, cov, true = poses[:, :3, 3], data.covariances, data.true_poses
+    skin, extent = data.display_positions, data.display_positions
     between = pitch(skin)
-    data: list[dict[str, Any]] = []
-    if mesh is not None:
-        data.append(body(*mesh, skin, 0.06 * between, transparent))
-    if path is not None and len(route := np.asarray(path[0], dtype=float)):
-        data.append(_route(route, np.asarray(path[1], dtype=float)))
+    traces: list[dict[str, Any]] = []
+    if data.body is not None:
+        mesh = data.body.facets
+        traces.append(body(mesh.vertices, mesh.faces, skin, 0.06 * between, transparent))
+        extent = np.concatenate([skin, mesh.vertices])
+    if data.recording is not None and len(data.recording.points):
+        traces.append(_route(data.recording.points, data.recording.time))
     if true is not None:
-        data += _true_taxels(names, true, between)
-    data.append(_estimated_taxels(names, estimate, cov, true))
-    label = "estimated frames" + ("" if heading_observed else " (heading: by convention)")
-    data += frames(estimate, FRAME_LENGTH * between, label)
-    if (balls := ellipsoids(estimate[:, :3, 3], cov, 0.3 * between)) is not None:
-        data.append(balls)
-    extent = skin if mesh is None else np.concatenate([skin, np.asarray(mesh[0], dtype=float)])
-    normals = estimate[:, :3, 2] if true is None else true[:, :3, 2]
-    layout = _layout(skin, normals, extent)
-    for trace in data:
+        traces += _true_taxels(names, true, between)
+    traces.append(_estimated_taxels(names, poses, cov, true))
+    seen = np.any(np.asarray(data.calibration.observed)[:, 5])
+    heading = "" if seen else " (heading: by convention)"
+    traces += frames(poses, FRAME_LENGTH * between, f"estimated frames{heading}")
+    if (balls := ellipsoids(positions, cov, 0.3 * between)) is not None:
+        traces.append(balls)
+    made = layout(skin, data.shown_poses[:, :3, 2], extent)
+    for trace in traces:
         if trace["type"] == "mesh3d":
-            trace["lightposition"] = layout["meta"]["light"]
-    return {"data": data, "layout": layout}
+            trace["lightposition"] = made["meta"]["light"]
+    return {"data": traces, "layout": made}
 
 
 def _route(points: Array, time: Array) -> dict[str, Any]:
@@ -206,7 +218,7 @@ def _texts(ids: Array, positions: Array, truth: Array | None, cov: Array) -> lis
     return texts
 
 
-def _layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
+def layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
     """Axes around everything, and a camera that looks at the skin from outside."""
     extent = finite_rows(extent)
     low, high = (extent.min(axis=0), extent.max(axis=0)) if len(extent) else np.zeros((2, 3))

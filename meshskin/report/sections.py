@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from . import advice, body_view, kinematics, learned_response, validation
+from . import advice, evidence, learned_response, scene3d
 from .data import METHOD_DESCRIPTIONS, PAPER_REFERENCE, ReportData, method_name
 from .figure_set import ACCURACY_TIME
 from .markup import Content, SavedFigure, bullets, paragraphs, saved_figure, table, tile
@@ -83,12 +83,12 @@ def content(data: ReportData, pictures: Sequence[SavedFigure]) -> Content:
             **reasons,
             "Observability": advice.observability(data),
             "Recommendations": [bullets("", advice.next_steps(data))],
-            "3D view": [body_view.section(data)],
+            "3D view": [scene3d.section(data)],
             **learned_response.section(data.calibration.response, pictures),
             "Figures": [saved_figure(p) for p in pictures if p.png.stem not in OWN_SECTIONS],
             "Numbers": _numbers(data),
-            **kinematics.sections(data),
-            **validation.sections(data),
+            **evidence.kinematics(data),
+            **evidence.validation(data),
             **budget(data),
             "Accuracy and time": _accuracy_time(data, pictures),
             "Taxels": [_taxels(data)],

@@ -118,6 +118,22 @@ def add_axes(figure: Figure, left: float, bottom: float, width: float, height: f
     return axes
 
 
+def log_ticks(
+    axis: Any, subs: Sequence[float] = (1.0,), numticks: int | None = None, minor: bool = True
+) -> None:
+    """Ticks of a logarithmic axis as plain numbers, at `subs` in each decade; minor: others, too,
+    without numbers.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+    axis.set_major_locator(LogLocator(subs=subs, numticks=numticks))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: compact(x).removeprefix("1 × ")))
+    if minor:
+        axis.set_minor_formatter(NullFormatter())
+    else:
+        axis.set_minor_locator(NullLocator())
+
+
 def color_bar(figure: Figure, artist: Any, axes: Axes, label: str) -> Any:
     """A thin color bar to the right of `axes`."""
     box = axes.get_position()

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
 from ..core.errors import ArmError
-from ..core.row_function import RowFunction
+from ..core.many_points import RowFunction
 from ..core.se3 import inverse
 from ..core.value import Value
 from . import inverse_kinematics as ik

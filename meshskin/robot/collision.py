@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ..contact.indenter import Indenter
 from ..core.arrays import Array, ranges
-from ..core.row_function import RowFunction
+from ..core.many_points import RowFunction
 from ..geometry.body import Body
 from ..geometry.surface.distance_grid import DistanceGrid
 from ..geometry.surface.surface import Surface

@@ -35,7 +35,7 @@ from ..core.errors import ConfigError
 from ..core.notebook import Card
 from ..core.se3 import is_rigid, orthonormal_basis, perpendicular, poses_of_states, transform
 from ..core.value import Value
-from ..effects import Context, NoiseEffect, check_effect
+from ..effects import Context, Effect, NoiseEffect, check_effect
 from ..geometry.body import Body
 from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
@@ -48,8 +48,6 @@ from .settings import Exploration, Law, Loop, Readout
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from ..effects import Effect
 
 ADAPTER = 0.02
 """Length of the adapter between flange and body where no mount is given, m. Chosen."""

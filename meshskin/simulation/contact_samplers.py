@@ -14,8 +14,8 @@ import pyarrow as pa
 from ..core import arrow
 from ..core.arrays import Array
 from ..core.errors import CalibrationError, ReachError
+from ..exploration.contact_plan import nearest_neighbour_order, point_contacts
 from ..exploration.path import Path
-from ..exploration.point_contacts import nearest_neighbour_order, point_contacts
 from ..recording.recording import Recording
 from ..scene.scene import Scene
 from .readout import effect_pipeline

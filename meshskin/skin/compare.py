@@ -8,10 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ..core.arguments import check_type
-from ..core.arrays import Array
+from ..core.arrays import Array, neighbour_distances
 from ..core.errors import SkinError
 from . import slots
 from .pairing import Pairing, distances, pair, pairing_by_id
@@ -245,13 +244,11 @@ def _removes_half(own: Pairing, other: Pairing, ids: Ids, at_a: Array, at_b: Arr
     Over the taxels of A that either of them pairs; one that is not paired counts as being one
     spacing away.
     """
-    _, spacing = KDTree(at_a).query(at_a, k=2)[0].T
-    if other.size > 1:
-        _, centres = module_centres(ids, at_a)
-        spacing = KDTree(centres).query(centres, k=2)[0][:, 1]
+    units = module_centres(ids, at_a)[1] if other.size > 1 else at_a
+    spacing = float(np.median(neighbour_distances(units)))
     left = []
     for pairing in (own, other):
-        distance = np.full(len(at_a), float(np.median(spacing)))
+        distance = np.full(len(at_a), spacing)
         a, b = at_a[pairing.rows_a], at_b[pairing.rows_b]
         distance[pairing.rows_a] = distances(pairing.pose, a, b)
         left.append(rms(distance[np.union1d(own.rows_a, other.rows_a)]))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..core.arrays import Array, Index, far_apart, sums_by_group
+from ..core.arrays import Array, Index, far_apart, neighbour_distances, sums_by_group
 from ..core.errors import SkinError
 from ..core.progress import Stage
 from ..core.se3 import orthonormal_basis
@@ -73,7 +73,7 @@ class Lattice:
         """Mean distance of nearest neighbours, m, and its relative standard deviation."""
         if len(self) < 2:
             return float("nan"), 0.0
-        near = KDTree(self.at.point).query(self.at.point, k=2)[0][:, 1]
+        near = neighbour_distances(self.at.point)
         return float(near.mean()), float(near.std() / near.mean())
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ..core import se3
-from ..core.arrays import Array, Index
+from ..core.arrays import Array, Index, neighbour_distances
 from ..core.value import Value
 from .slots import Ids
 
@@ -169,7 +169,7 @@ def _partners(at_a: Array, at_b: Array, units_a: Ids, units_b: Ids) -> tuple[Ind
     partner[a] = b
     own = np.full(len(at_a), np.inf)
     own[a] = np.linalg.norm(flat_a[a] - flat_b[b], axis=1)
-    neighbour = KDTree(flat_a).query(flat_a, k=2)[0][:, 1]
+    neighbour = neighbour_distances(flat_a)
     at_place = (off_a < SAME_PLACE * neighbour) & (off_a < MOVED_RATIO * own - 1e-6 * np.sqrt(k))
     swap = mutual & at_place & (near_a != partner)
     partner[swap] = near_a[swap]

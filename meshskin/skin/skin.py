@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core import se3
 from ..core.arguments import check_integer, check_real, check_type
-from ..core.arrays import Array
+from ..core.arrays import Array, median_spacing
 from ..core.errors import SkinError
 from ..core.notebook import Card, Tabular
 from ..core.value import Value
@@ -109,12 +109,7 @@ class Skin(Value, Card, Tabular):
     @property
     def spacing(self) -> float:
         """Median distance of a taxel from its nearest neighbour, m; NaN for fewer than two."""
-        from scipy.spatial import cKDTree
-
-        points = self.positions[np.isfinite(self.positions).all(axis=1)]
-        if len(points) < 2:
-            return float("nan")
-        return float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
+        return median_spacing(self.positions)
 
     def plot(self, ax: Axes | None = None, body: Body | None = None, close: bool = False) -> Figure:
         """Draw the taxels, on a body if one is given, coloured by their sigmas where known.

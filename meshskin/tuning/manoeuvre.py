@@ -21,6 +21,7 @@ from ..core.arguments import check_vector
 from ..core.arrays import Array
 from ..core.errors import ReachError, TuningError
 from ..core.se3 import inverse, orthonormal_basis, transform
+from ..exploration.lanes import lengths_along
 from ..exploration.path import Path, body_twists
 from ..geometry.body import Body
 from ..geometry.geodesics import geodesic
@@ -199,8 +200,7 @@ def slide_path(
     for hit, ahead in islice(geodesic(body, place, direction, distance / count), count + 1):
         points.append(hit.point[0])
         frames.append(orthonormal_basis(hit.normal[0], ahead))
-    lengths = np.linalg.norm(np.diff(np.array(points), axis=0), axis=1)
-    s = np.concatenate([[0.0], np.cumsum(lengths)])
+    s = lengths_along(np.array(points))
     return s * distance / s[-1], np.array(points), np.array(frames)
 
 

@@ -11,7 +11,7 @@ Source of the elastic mode: Gill, Murray, Saunders, "SNOPT", SIAM Review 47(1), 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from ..core import ipopt
 from ..core.arrays import Array
-from .convergence import INFEASIBLE, ConvergenceMonitor, termination_message
+from ..core.ipopt import IterationCallback
+from ..core.progress import Stage
 from .feasible_sqp import ACTIVE, QuadraticModel, descend, descent_message
 from .gains import NAMES, Demands, Gains
 from .limits import WINDOW, Limit, Objective, objective_and_limits
@@ -39,7 +40,7 @@ TOLERANCE = 1e-3
 """Largest violation of a limit, in its scale, of an accepted solution."""
 MAX_PREDICTED_DECREASE = 2e-3
 """Largest predicted decrease of the objective, relative to it, of a search that has converged:
-twice convergence.MIN_GAIN."""
+twice MIN_GAIN."""
 RELAXATION = 5e-3
 """Change of a limit, relative to its bound, for its one-sided multipliers."""
 ONE_SIDED = 0.1
@@ -47,6 +48,18 @@ ONE_SIDED = 0.1
 a kink."""
 OPTIONS: dict[str, object] = {"mu_strategy": "adaptive", "tol": 1e-5, "max_iter": 200}
 """Options of IPOPT."""
+PATIENCE, INFEASIBLE_PATIENCE = 25, 50
+"""Iterations without progress after which the search ends, from a point that meets the limits and
+before one is found. Window maxima and interpolations are continuous, their slopes are not: the last
+iterations may cross a kink to and fro for ever."""
+MIN_ITERATIONS = 40
+"""Iterations that every search may take: the first ones lead away from the limits."""
+MIN_GAIN = 1e-3
+"""Least relative decrease of the merit that counts as progress."""
+INFEASIBLE = 1e3
+"""Merit from which on a point does not meet the limits; objectives are far below, s or relative."""
+SOLVED = "solved"
+"""Status of a search that IPOPT ended at a solution."""
 
 
 @dataclass(frozen=True)
@@ -281,3 +294,51 @@ def _solver(nlp: dict[str, ca.MX], objective: str, monitor: ConvergenceMonitor) 
     return ipopt.solver(
         "tune", nlp, options, hessian=hessian, callback=monitor, show_eval_warnings=False
     )
+
+
+class ConvergenceMonitor(IterationCallback):
+    """IPOPT's iteration callback for a program of `size` variables and `rows` constraints.
+
+    It minimizes `merit(x, g)`: `best` is the best iterate x, `least` its merit.
+    """
+
+    def __init__(self, size: int, rows: int) -> None:
+        super().__init__(size, rows, self._monitor)
+        self.stage = Stage()
+        """Whose steps are the iterations."""
+        self.reset(lambda x, g: 0.0)
+
+    def reset(self, merit: Callable[[Array, Array], float]) -> None:
+        """Begin a search with a merit."""
+        self.merit, self.idle, self.count = merit, 0, 0
+        self.best: Array | None = None
+        self.least = self.mark = np.inf
+
+    def _monitor(self, x: Array, g: Array) -> bool:
+        """Keep the iterate if it is the best, and return whether to stop."""
+        merit = self.merit(x, g)
+        if self.best is None or merit < self.least:
+            self.best, self.least = x, merit
+        self.count += 1
+        self.stage.step()
+        progress = merit < (1.0 - MIN_GAIN) * self.mark
+        self.mark = merit if progress else self.mark
+        self.idle = 0 if progress else self.idle + 1
+        return (self.count > MIN_ITERATIONS and self.idle >= self.patience) or merit == 0.0
+
+    @property
+    def patience(self) -> int:
+        """Iterations without progress after which the search ends."""
+        return PATIENCE if self.mark < INFEASIBLE else INFEASIBLE_PATIENCE
+
+
+def termination_message(status: str, feasible: bool, patience: int) -> str:
+    """How IPOPT's search ended, by its return status."""
+    if status == "Solve_Succeeded":
+        return SOLVED
+    reason = f"IPOPT returned {status}"
+    if status == "User_Requested_Stop":  # by the monitor
+        reason = f"no progress of {100 * MIN_GAIN:g} % in {patience} iterations"
+    if feasible:
+        return f"stopped at the best gains that meet the limits: {reason}"
+    return f"stopped before any gains met the limits: {reason}"

@@ -21,7 +21,7 @@ from .shooting import Trajectory
 
 BINDING = 1e-3
 """Multiplier, relative to the objective, from which on a limit is listed as binding: relaxing it by
-all of its unit gains more than convergence.MIN_GAIN."""
+all of its unit gains more than problem.MIN_GAIN."""
 UNITS = {
     "gamma": "1/s",
     "force_reference": "N",

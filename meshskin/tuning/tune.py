@@ -23,11 +23,10 @@ from ..core.errors import ConfigError, TuningError, UnknownNameError
 from ..core.progress import Progress, Stage
 from ..scene.scene import Scene
 from ..simulation.response import force_response
-from .convergence import SOLVED
 from .gains import Demands, Gains, gain_bounds
 from .limits import OBJECTIVES, Limit
 from .manoeuvre import plan_manoeuvre, slide_start
-from .problem import MAX_PREDICTED_DECREASE, TuningProblem, TuningSolution
+from .problem import MAX_PREDICTED_DECREASE, SOLVED, TuningProblem, TuningSolution
 from .result import TuningResult
 from .scenarios import Scenario, scenario_scene, scenarios
 from .shooting import SingleShooting

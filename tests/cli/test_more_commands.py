@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 import meshskin as ms
 from meshskin import cli, effects
@@ -91,6 +92,18 @@ def test_init_asks_for_no_more_taxels_than_fit(mesh, tmp_path, monkeypatch):
     assert len(ms.Scene.load("small.toml").skin) == asked
 
 
+def test_init_puts_the_skin_where_the_indenter_reaches(mesh, tmp_path, monkeypatch):
+    """The flat top of a can ends at an edge; its side does not. A capsule's top is as good."""
+    monkeypatch.setattr(init, "RADII", (5e-3,))
+    trimesh.creation.cylinder(20, 150, sections=120).export("can.stl")
+    for name in ("can.stl", "handle.stl"):
+        assert cli.main(["init", name]) == 0
+    can, handle = (tomllib.loads((tmp_path / f"{n}.toml").read_text()) for n in ("can", "handle"))
+    assert can["skin"]["direction"] in ([1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0])
+    assert "direction" not in handle["skin"]
+    assert np.ptp(ms.Scene.load("can.toml").skin.positions[:, 2]) > 0.03
+
+
 def test_init_writes_the_map_of_a_log(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     time = 0.01 * np.arange(300)
@@ -101,6 +114,23 @@ def test_init_writes_the_map_of_a_log(tmp_path, monkeypatch, capsys):
     text = (tmp_path / "run_map.toml").read_text()
     assert "300 samples at 100 Hz" in text
     assert ms.LogMap.load("run_map.toml").streams
+
+
+def test_init_says_what_a_log_lacks(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = ["time", "cx", "dy", "ez", *(f"cell{k}" for k in range(5))]
+    np.savetxt("run.csv", np.arange(90.0).reshape(10, 9), "%g", ",", header=",".join(names),
+               comments="")  # fmt: skip
+    assert cli.main(["init", "run.csv"]) == 0
+    text = (tmp_path / "run_map.toml").read_text()
+    assert "# Not recognized: cx, dy, ez." in text
+    commented = (
+        text[text.index("# [[stream]]") :].replace("# ", "").replace('"x", "y"', '"cx", "dy"')
+    )
+    added = commented.replace('"z", "force"', '"ez"')
+    (tmp_path / "run_map.toml").write_text(text[: text.index("# Nothing says")] + added)
+    log_map = ms.LogMap.load("run_map.toml")
+    assert [len(stream.fields) for stream in ms.read_log("run.csv", log_map).streams] == [5, 3]
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from meshskin.exploration.coverage import PointCloud
 from meshskin.exploration.lane_plan import _sparse, region_radius
 from meshskin.exploration.lanes import (
     MAX_SPACING,
+    PointCloud,
     _offset,
     _traces,
     both_ways,

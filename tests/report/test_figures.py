@@ -15,7 +15,7 @@ from PIL import Image
 
 from meshskin.core.errors import OutputError
 from meshskin.report import curves, maps, precision, scene3d, theme
-from meshskin.report.curves import envelope, settling_time
+from meshskin.report.curves import envelope
 from meshskin.report.data import Iterations, ReportData, method_name
 from meshskin.report.maps import ellipse_axes, representative_iterations
 from meshskin.report.plane import drawn_scale, path_with_breaks, pitch
@@ -64,13 +64,6 @@ def test_save_names_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError):
         theme.save(curves.force([0.0, 1.0], [0.0, 3.0], 3.0), tmp_path / "file", "force")
-
-
-def test_settling_of_a_first_order_response() -> None:
-    t = np.arange(0.0, 2.0, 1e-4)
-    f = 3.0 * (1 - np.exp(-np.maximum(t - 0.5, 0.0) / 0.02))
-    assert settling_time(t, f, 3.0, 0.5) == pytest.approx(0.02 * np.log(50), abs=2e-4)
-    assert np.isnan(settling_time(t, 0.9 * f, 3.0, 0.5))
 
 
 def test_the_envelope_keeps_a_single_spike() -> None:
@@ -153,6 +146,16 @@ def test_coverage_crosses_out_what_was_never_touched(case: SimpleNamespace) -> N
     assert "never touched" in texts(maps.coverage(replace(data, recording=case.recording())))
     # without a truth, nothing tells where an untouched taxel is
     assert "never touched" not in texts(maps.coverage(ReportData(found)))
+
+
+def test_few_readings_apart_have_ticks(case):
+    """90 to 170 readings have one of 1, 2, 5 in a decade."""
+    found = case.calibration()
+    counts = np.linspace(90, 170, len(found.ids)).astype(int)
+    figure = maps.coverage(ReportData(replace(found, readings=counts)))
+    bar = figure.axes[-1]
+    low, high = bar.get_ylim()
+    assert sum(low <= tick <= high for tick in bar.get_yticks()) >= 4
 
 
 def test_ellipses_have_the_axes_of_their_covariances() -> None:
@@ -287,12 +290,8 @@ def test_the_view_shows_the_whole_body() -> None:
     corners = np.array([[x, y, z] for x in (0, 0.3) for y in (0, 0.05) for z in (0, 0.08)])
     skin = np.tile(np.eye(4), (20, 1, 1))
     skin[:, :3, 3] = [0.05, 0.02, 0.08] + 0.01 * rng.random((20, 3)) * [1, 1, 0]
-    layout = scene3d.view_3d(
-        ids=np.arange(20),
-        poses=skin,
-        covariances=np.tile(1e-10 * np.eye(3), (20, 1, 1)),
-        mesh=(corners, [[0, 1, 2], [1, 2, 3]]),
-    )["layout"]
+    points, normals = skin[:, :3, 3], skin[:, :3, 2]
+    layout = scene3d.layout(points, normals, np.concatenate([points, corners]))
     camera = {k: np.array(list(v.values())) for k, v in layout["scene"]["camera"].items()}
     low, high = (
         np.array([layout["scene"][f"{axis}axis"]["range"][k] for axis in "xyz"]) for k in (0, 1)

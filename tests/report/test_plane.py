@@ -9,7 +9,7 @@ import pytest
 
 from meshskin.geometry.body import Body
 from meshskin.report.decimation import decimate
-from meshskin.report.plane import enlargement, spacing, tangent_plane
+from meshskin.report.plane import LEAST_PITCH, enlargement, pitch, tangent_plane
 
 
 def test_the_plane_keeps_lengths_in_it_and_is_seen_from_outside(case: SimpleNamespace) -> None:
@@ -21,10 +21,10 @@ def test_the_plane_keeps_lengths_in_it_and_is_seen_from_outside(case: SimpleName
     assert np.allclose(plane.project(plane.origin + shift), [1.0, 2.0])
 
 
-def test_the_plane_without_normals_is_the_best_fitting_one() -> None:
+def test_the_plane_without_a_mean_normal_is_the_best_fitting_one() -> None:
     flat = np.random.default_rng(0).normal(size=(30, 3)) * [1.0, 1.0, 0.0]
     flat[4] = np.nan
-    plane = tangent_plane(flat)
+    plane = tangent_plane(flat, np.zeros_like(flat))
     assert np.allclose(np.abs(np.cross(*plane.axes)), [0, 0, 1])
     assert np.allclose(plane.origin, np.nanmean(flat, axis=0))
 
@@ -37,11 +37,11 @@ def test_covariances_project_as_lengths_do(case: SimpleNamespace) -> None:
     assert np.isnan(both[1]).all()
 
 
-def test_spacing_is_the_median_distance_of_nearest_neighbours() -> None:
+def test_the_pitch_is_the_median_distance_of_nearest_neighbours() -> None:
     grid = np.stack(np.meshgrid(np.arange(4.0), np.arange(4.0), [0.0]), axis=-1).reshape(-1, 3)
     grid[3] = np.nan
-    assert spacing(5e-3 * grid) == pytest.approx(5e-3)
-    assert spacing(np.zeros((1, 3))) == 0.0
+    assert pitch(5e-3 * grid) == pytest.approx(5e-3)
+    assert pitch(np.zeros((1, 3))) == LEAST_PITCH
 
 
 @pytest.mark.parametrize(

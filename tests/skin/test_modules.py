@@ -8,7 +8,7 @@ from meshskin.core import se3
 from meshskin.core.errors import SkinError
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Disc, Faces, HalfSpace, Whole, area
-from meshskin.skin import lattice, module_pose, packing, slots
+from meshskin.skin import lattice, module_layout, module_pose, slots
 from meshskin.skin.module_layout import SPACING
 from meshskin.skin.module_pose import MAX_OFFSET, overlapping
 from meshskin.skin.skin import Modules, Skin
@@ -51,13 +51,13 @@ def test_packed_modules_do_not_overlap():
     """No two are nearer than the clearance, and most have about the requested gap."""
     body, region = Body.sphere(), HalfSpace((0.0, 0.0, 1.0), 0.03)
     first = lattice.first_site(body, region, SPACING, np.random.default_rng(0))
-    poses = packing.pack(body, region, first, SPACING)
+    poses = module_layout.pack(body, region, first, SPACING)
     assert len(poses) > 50
     one, two = (
         KDTree(poses[:, :3, 3]).query_pairs(2.0 * module_pose.CIRCUMRADIUS, output_type="ndarray").T
     )
     gap, way, _ = module_pose.separation(poses[one], poses[two])
-    assert gap.min() > 0.99 * packing.CLEARANCE
+    assert gap.min() > 0.99 * module_layout.CLEARANCE
     beside = np.linalg.norm(poses[one, :3, 3] - poses[two, :3, 3], axis=1) < 1.2 * SPACING
     assert np.median(gap[beside]) > 0.5e-3
     np.testing.assert_allclose(np.linalg.norm(way, axis=1), 1.0)
@@ -68,11 +68,11 @@ def test_a_push_separates_two_modules():
     pair, inner = (np.array([0]), np.array([1])), slots.SIDE / np.sqrt(12.0)
     here = np.eye(4)
     beside = se3.transform(se3.exp_so3([0.0, 0.0, np.pi]), [0.0, -2.0 * inner + 1e-3, 0.0])
-    poses = packing.push(np.array([here, beside]), pair, 0.5e-3)
+    poses = module_layout.push(np.array([here, beside]), pair, 0.5e-3)
     assert module_pose.separation(np.array([here]), beside[None])[0] == pytest.approx(-1e-3)
     assert np.linalg.norm(poses[0, :3, 3] - poses[1, :3, 3]) == pytest.approx(2.0 * inner - 0.25e-3)
     corner = se3.transform(np.eye(3), [8e-3, -3.0 * inner + 1e-3, 0.0])  # its tip under a side
-    poses = packing.push(np.array([here, corner]), pair, 0.0)
+    poses = module_layout.push(np.array([here, corner]), pair, 0.0)
     gap = [module_pose.separation(p[:1], p[1:])[0][0] for p in (np.array([here, corner]), poses)]
     assert gap[0] == pytest.approx(-1e-3)
     assert -1e-3 < gap[1] < -0.2e-3

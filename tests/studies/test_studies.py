@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from meshskin.estimation.paper_pipeline import NoisyPoses
+from paper_noise import NoisyPoses
 
 STUDIES = Path(__file__).parents[2] / "studies"
 

@@ -8,11 +8,10 @@ import pytest
 import meshskin as ms
 from meshskin.core.errors import ConfigError, TuningError, UnknownNameError
 from meshskin.simulation.response import force_response
-from meshskin.tuning.convergence import termination_message
 from meshskin.tuning.feasible_sqp import descent_message
 from meshskin.tuning.gains import Gains
 from meshskin.tuning.limits import MIN_OVERSHOOT, interpolate
-from meshskin.tuning.problem import TOLERANCE
+from meshskin.tuning.problem import TOLERANCE, termination_message
 from meshskin.tuning.result import simulate_manoeuvre
 from meshskin.tuning.shooting import SingleShooting
 from meshskin.tuning.tune import Demands, Scenario, scenarios

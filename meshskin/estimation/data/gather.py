@@ -9,7 +9,7 @@ import numpy as np
 
 from ... import contact
 from ...core.arrays import Array
-from ...core.errors import CalibrationError
+from ...core.errors import CalibrationError, ContactError
 from ...scene.belief import RAW
 from . import unit_checks
 from .delay import without_delay
@@ -26,6 +26,11 @@ if TYPE_CHECKING:
     from ...scene.belief import Belief
 
 
+STIFFER = 3.0
+"""Factor on Young's modulus at which a contact model must hold for a response to be learned in its
+place: the factor on E* from which the verdict doubts. Wider contacts are errors of units."""
+
+
 def gather(recording: Recording, belief: Belief) -> Measurements:
     """The measurements of a recording under a belief.
 
@@ -37,7 +42,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     """
     unit_checks.check_finite(recording)
     unit_checks.check_readings(recording.metadata.get("readings"), belief.readings)
-    index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
+    index = taxel_rows(recording.reading_taxel, np.asarray(belief.taxel_ids))
     unit_checks.check_unique(recording, index, len(belief.taxel_ids))
     headings, points = _headings(recording, belief), recording.points
     hit = belief.body.closest(points)
@@ -128,6 +133,32 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     return data
 
 
+def gather_or_learn(recording: Recording, belief: Belief) -> tuple[Measurements, str]:
+    """The measurements, for a learned response where contact "auto" finds no model that holds but
+    would at STIFFER times Young's modulus; and why no model holds, "" where one does.
+
+    Raises as `gather`.
+    """
+    try:
+        return gather(recording, belief), ""
+    except ContactError as error:
+        stiffer = replace(belief.material, young=STIFFER * belief.material.young)
+        if belief.contact != contact.AUTO or not _holds(
+            recording, replace(belief, material=stiffer)
+        ):
+            raise
+        return gather(recording, replace(belief, contact=contact.LEARNED)), str(error)
+
+
+def _holds(recording: Recording, belief: Belief) -> bool:
+    """Whether a contact model holds in the recording's contacts."""
+    try:
+        resolve_belief(belief, recording)
+    except ContactError:
+        return False
+    return True
+
+
 def _headings(recording: Recording, belief: Belief) -> Array | None:
     """Rotations (m, 3, 3), world from body, of the belief, else of the recording."""
     if belief.headings is None:
@@ -159,7 +190,7 @@ def _require_readings(read: np.ndarray, recording: Recording, pressed: np.ndarra
         )
 
 
-def _taxel_index(taxels: np.ndarray, ids: np.ndarray) -> np.ndarray:
+def taxel_rows(taxels: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """Row in `ids` of each taxel id. Raises CalibrationError for ids that are not there."""
     order = np.argsort(ids, kind="stable")
     row = np.minimum(np.searchsorted(ids[order], taxels), len(ids) - 1)

@@ -56,6 +56,11 @@ def resolve_belief(belief: Belief, recording: Recording) -> Belief:
     return with_valid_model(belief, recording.force[rows], curvature)
 
 
+def contact_model(belief: Belief) -> contact.ContactModel:
+    """The contact model of a belief that names one of contact.BATCHED."""
+    return contact.ContactModel(belief.contact, belief.material.poisson, belief.material.thickness)
+
+
 def with_valid_model(belief: Belief, force: Array, curvature: Array) -> Belief:
     """The belief with the first contact model that holds under forces (m,), N, at principal
     curvatures (m, 2), 1/m.
@@ -82,7 +87,7 @@ def valid_contacts(force: Array, curvature: Array, belief: Belief) -> np.ndarray
     are.
     """
     material = belief.material
-    valid = contact.ContactModel(belief.contact, material.poisson, material.thickness).is_valid(
+    valid = contact_model(belief).is_valid(
         force=force,
         curvature=curvature,
         indenter_radius=belief.indenter.radius,

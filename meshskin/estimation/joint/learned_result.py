@@ -229,7 +229,7 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
     peak = float(contacts.peaks[middle]) * data.unit
     at = columns["profile"]
     band = np.sqrt(np.einsum("ki,ij,kj->k", basis, covariance[at, at], basis))
-    level = np.linspace(0.0, peak, SAMPLES)
+    level = np.linspace(0.0, peak * float(np.max(model + correction)), SAMPLES)  # that occur
     c = columns["compression"].start
     nominal = data.nominal_peak * data.unit
     alike = alike_errors(effects)

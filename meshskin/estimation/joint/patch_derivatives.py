@@ -18,7 +18,7 @@ import numpy as np
 
 from ...contact import ContactModel, Patches
 from ...core.arrays import Array
-from ...core.columns import ColumnFunction
+from ...core.many_points import ColumnFunction
 
 if TYPE_CHECKING:
     from ..data.measurements import Measurements

@@ -23,7 +23,7 @@ import numpy as np
 from ...contact.disc import disc_mean_of_square
 from ...contact.ellipse import ellipse_gradient
 from ...core.arrays import Array
-from ...core.columns import ColumnFunction
+from ...core.many_points import ColumnFunction
 
 if TYPE_CHECKING:
     from .contacts import Contacts

@@ -295,8 +295,9 @@ class RandomEffects:
             if posterior is not None:
                 gain = self.update_variances(posterior)
                 settled = np.inf  # from here on a decrease follows from the change of variances
-            elif iteration < 2 and self.crossed is None:
-                self.deviations = self._with_noise(self.deviations, 1)
+            elif iteration < 2 and self.crossed is None:  # effects may take the noise, too
+                grown = self._with_noise(self.deviations, 1)
+                self.deviations = max(self.deviations, grown, key=lambda d: d.noise)
             if self.crossed is None:
                 self.spread = self.deviations.noise_of(self.mu)
             self.iterates.append(self.unknowns.parametrization.points())
@@ -322,8 +323,7 @@ class RandomEffects:
             "force": (np.sum(u.errors[:, 2] ** 2), contacts),
             "profile": (s @ s, len(s)),
         }
-        own = np.sum(u.nuisance**2, axis=0)
-        squares |= {name: (own[k], taxels) for k, name in enumerate(names)}
+        squares |= {name: (np.sum(u.nuisance[:, k] ** 2), taxels) for k, name in enumerate(names)}
         moved, largest = d.moved(
             {
                 name: posterior.effects(name, float(square) / getattr(d, name) ** 2, count)

@@ -14,10 +14,10 @@ from ...core.errors import CalibrationError
 from ...core.progress import Progress, Stage
 from ...core.provenance import random_stream
 from ...core.value import Value
-from . import on_body, stress, tiles
+from . import stress, tiles
 from .alignment import aligned
 from .coactivity import distinct_levels, largest_part, path_lengths, strokes
-from .placement import Modules, fitted_modules, settled
+from .placement import ALIKE, Modules, best_on_body, fitted_modules, places_on, settled
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
@@ -165,7 +165,7 @@ def layout(
         points, departure = modules.positions, np.hypot(departure, wrong[modules.module])
         factors += ("modules edge to edge",)
     if body is not None:
-        placed, spread, alike = on_body.placed(body, points, inner, unit, middles)
+        placed, spread, alike = best_on_body(body, points, inner, unit, middles)
         points, error = placed.positions, stress.misfit(placed.along, inner, unit)
         departure = np.hypot(_departures(placed.along, inner, unit), spread)
         gauge = _on_body_gauge(len(middles), alike)
@@ -287,7 +287,7 @@ def _middles(body: Body | None, centre: ArrayLike | None) -> Array:
 
     check_type(Body, body, "body of a layout")
     if centre is None:
-        return on_body.places_on(body)
+        return places_on(body)
     middle = check_vector("centre of a layout on a body", centre, error=CalibrationError)
     if not np.isfinite(middle).all():
         raise CalibrationError("centre of a layout on a body must be finite")
@@ -301,5 +301,5 @@ def _on_body_gauge(places: int, alike: int) -> str:
         return f"the middle is at the given centre; not determined: {free}"
     return (
         f"the best of {places} places on the body, {alike} of which start within "
-        f"{100 * (on_body.ALIKE - 1):.0f} % of it; not determined: {free}"
+        f"{100 * (ALIKE - 1):.0f} % of it; not determined: {free}"
     )

@@ -1,8 +1,12 @@
-"""What the unknowns of a layout are: rigid modules in the plane, or taxels on a body.
+"""The unknowns of a layout, rigid modules in the plane or taxels on a body, and their best values.
 
 A placement gives positions (n, D), their distances along the skin, and the derivative of the
 positions with respect to its unknowns; it moves, and its stress is minimized by damped Gauss-Newton
 steps.
+
+On a body, it is at the place whose curvature agrees with it best. A body that looks the same in
+several places, as a sphere does everywhere, does not tell them apart: the misfits of all places
+tried say how far it does.
 """
 
 from __future__ import annotations
@@ -12,9 +16,11 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, far_apart, sums_by_group
+from ...core.se3 import orthonormal_basis
 from .. import chart
 from . import stress
+from .alignment import aligned
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
@@ -27,6 +33,18 @@ ITERATIONS = 60
 """Most Gauss-Newton steps: from a plane layout, 10 to 20 converge."""
 MAX_DAMPING = 1e6
 """Damping from which no step lowers the stress."""
+
+PLACES, TURNS = 24, 8
+"""Places on a body and turns about its normal that are tried, with both mirror images: 45 degrees
+apart, from which the taxels find their way."""
+KEPT = 16
+"""Placements, of those that start well, whose taxels are settled."""
+ALIKE = 1.1
+"""Misfit over that of the best placement up to which another starts as well: the best start is
+often not the best end."""
+EQUAL = 1.02
+"""The same of settled placements, which the distances do not tell apart: on the shipped scenes
+their misfit differs by less than 1 % where their shapes differ by half a pitch."""
 
 
 class Placement(Protocol):
@@ -107,9 +125,7 @@ class Modules:
     @property
     def _arms(self) -> Array:
         """From the origin of its module to each taxel (n, 2)."""
-        cosine, sine = np.cos(self.angles)[self.module], np.sin(self.angles)[self.module]
-        x, y = self.offsets.T
-        return np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
+        return _turned(self.offsets, self.angles[self.module])
 
     @property
     def positions(self) -> Array:
@@ -166,11 +182,19 @@ def _fitted(module: np.ndarray, offsets: Array, points: Array) -> tuple[Modules,
     turn = np.bincount(module, o[:, 0] * x[:, 1] - o[:, 1] * x[:, 0])
     along = np.bincount(module, np.sum(o * x, axis=1))
     angles = np.arctan2(turn, along)
+    return Modules(module, offsets, unit * outer - _turned(inner, angles), angles), unit, points
+
+
+def _turned(points: Array, angles: Array) -> Array:
+    """Points (k, 2) turned by `angles` (k,), rad, about the origin."""
     cosine, sine = np.cos(angles), np.sin(angles)
-    arm = np.column_stack(
-        [cosine * inner[:, 0] - sine * inner[:, 1], sine * inner[:, 0] + cosine * inner[:, 1]]
-    )
-    return Modules(module, offsets, unit * outer - arm, angles), unit, points
+    x, y = points.T
+    return np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
+
+
+def rotation(angle: float) -> Array:
+    """The rotation (2, 2) of the plane by an angle, rad."""
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def settled(start: T, lengths: Array, unit: float, free: bool) -> tuple[T, float]:
@@ -231,3 +255,50 @@ def _normal_equations(
     matrix = np.block([[inner, border[:, None]], [border, 0.5 * np.sum(weight * lengths**2)]])
     toward = jacobian.T @ np.einsum("ij,ija->ia", residual, slope).ravel()
     return matrix, np.append(toward, -0.5 * np.sum(residual * lengths))
+
+
+def places_on(body: Body) -> Array:
+    """Places (p, 3), m, all over the body, where the middle of a skin may be."""
+    vertices = np.asarray(body.facets.vertices)
+    order = np.random.default_rng(0).permutation(len(vertices))
+    apart = float(np.linalg.norm(np.ptp(vertices, axis=0))) / PLACES
+    return np.asarray(vertices[far_apart(vertices, order, apart, PLACES)])
+
+
+def best_on_body(
+    body: Body, plane: Array, lengths: Array, unit: float, middles: Array
+) -> tuple[OnBody, Array, int]:
+    """The placement of least stress of a layout `plane` (n, 2), m, on a body.
+
+    lengths (n, n) in a `unit`, m; middles (p, 3): where the middle of the layout is tried. Of
+    placements that fit equally well, it is the one most like the others. Returns it, the root mean
+    square distances (n,), m, of its taxels from those of the others, aligned, and the number of
+    middles where one starts as well.
+    """
+    trials = [
+        (start, k) for k, middle in enumerate(middles) for start in _starts(body, plane, middle)
+    ]
+    cost = np.array([stress.misfit(start.along, lengths, unit) for start, _ in trials])
+    good = np.flatnonzero(cost <= ALIKE * cost.min())
+    tried = good[np.unique(np.linspace(0, len(good) - 1, KEPT).astype(int))]
+    ends = [settled(trials[k][0], lengths, unit, free=False)[0] for k in tried]
+    ends.sort(key=lambda end: stress.misfit(end.along, lengths, unit))
+    least = stress.misfit(ends[0].along, lengths, unit)
+    equal = [e.positions for e in ends if stress.misfit(e.along, lengths, unit) <= EQUAL * least]
+    square = np.array([[np.sum((aligned(b, a) - a) ** 2, axis=1) for b in equal] for a in equal])
+    chosen = int(np.argmin(np.median(square.mean(axis=2), axis=1)))
+    spread = np.sqrt(square[chosen].mean(axis=0))
+    return ends[chosen], spread, len({trials[k][1] for k in good})
+
+
+def _starts(body: Body, plane: Array, middle: Array) -> list[OnBody]:
+    """Placements with the layout's middle at a point of the body, in all turns and both images."""
+    hit = body.closest(middle[None])
+    basis = orthonormal_basis(hit.normal[0])[:, :2]
+    centred = plane - plane.mean(axis=0)
+    found = []
+    for angle in 2 * np.pi * np.arange(TURNS) / TURNS:
+        for image in ([1.0, 1.0], [1.0, -1.0]):
+            tangent = (centred * image) @ rotation(angle).T
+            found.append(OnBody.at(body, hit.point[0] + tangent @ basis.T))
+    return found

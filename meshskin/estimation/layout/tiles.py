@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.arrays import Array
+from ...core.arrays import Array, median_spacing
 from ...core.errors import CalibrationError
-from .placement import Modules
+from .placement import Modules, rotation
 
 NORMALS = np.deg2rad([-90.0, 30.0, 150.0])
 """Directions of the outward normals of the edges in a module's frame, rad (slots.CORNERS)."""
@@ -50,7 +50,7 @@ def tiled(modules: Modules) -> tuple[Modules, Array]:
         own = part == k
         rows = own[modules.module]
         turn, shift = _alignment(grown.positions[rows], modules.positions[rows])
-        origins[own] = origins[own] @ _rotation(turn).T + shift
+        origins[own] = origins[own] @ rotation(turn).T + shift
         angles[own] += turn
     placed = replace(modules, origins=origins, angles=angles)
     square = np.sum((placed.positions - modules.positions) ** 2, axis=1)
@@ -82,7 +82,7 @@ def _pitch(origins: Array) -> float:
     """Distance of neighbouring modules, m."""
     from scipy.spatial import KDTree
 
-    nearest = float(np.median(KDTree(origins).query(origins, 2)[0][:, 1]))
+    nearest = median_spacing(origins)
     pairs = KDTree(origins).query_pairs(1.3 * nearest, output_type="ndarray")
     return float(np.median(np.linalg.norm(origins[pairs[:, 0]] - origins[pairs[:, 1]], axis=1)))
 
@@ -140,12 +140,8 @@ def _grown(count: int, pitch: float, meetings: list[Meeting]) -> tuple[Array, Ar
     return origins, angles, part
 
 
-def _rotation(angle: float) -> Array:
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-
-
 def _alignment(source: Array, target: Array) -> tuple[float, Array]:
     """Angle, rad, and displacement (2,), m, that take `source` (m, 2) to `target` best."""
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)
     angle = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
-    return angle, target.mean(axis=0) - _rotation(angle) @ source.mean(axis=0)
+    return angle, target.mean(axis=0) - rotation(angle) @ source.mean(axis=0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,18 +19,16 @@ from ...contact import LEARNED
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ...recording.recording import CONTACTS, READINGS, Recording
+from ...scene.belief import Belief
 from ..calibration import Calibration
 from ..cross_validation import recorded_belief
 from ..data.gather import gather
 from ..data.global_parameters import DEPARTURES
+from ..data.measurements import Measurements
 from ..localization import CalibratedSkin
 from .linearization import local_estimator
 from .online_calibration import OnlineCalibration
 from .running_estimate import RunningEstimate
-
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
-    from ..data.measurements import Measurements
 
 NUISANCE = ("gain", "offset")
 """Unknowns of a taxel that are estimated anew."""
@@ -88,18 +86,11 @@ class KnownResponse:
     ) -> OnlineCalibration:
         """An online calibration for the contacts of `recording`, which are to be given with their
         `errors`; arguments as of `OnlineCalibration`."""
-        return _WithKnownResponse(self, target_sigma, unreachable)
-
-
-class _WithKnownResponse(OnlineCalibration):
-    """An online calibration whose global parameters are known."""
-
-    def __init__(self, known: KnownResponse, target: float, unreachable: Collection[int]) -> None:
-        template = known.template
-        belief = replace(known.belief, threshold=template.threshold, noise_sigma=template.noise)
-        super().__init__(belief, target_sigma=target, unreachable=unreachable)
-        self._estimate = RunningEstimate(template, known.values)
-        self._estimate.widening = known.widening
+        template = self.template
+        belief = replace(self.belief, threshold=template.threshold, noise_sigma=template.noise)
+        online = OnlineCalibration(belief, target_sigma=target_sigma, unreachable=unreachable)
+        online.estimate = RunningEstimate(template, self.values, self.widening)
+        return online
 
 
 def _without_departures(skin: CalibratedSkin, found: Calibration) -> CalibratedSkin:

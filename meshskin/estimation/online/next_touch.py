@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core.arrays import Array
 from ...core.value import Value
+from ...scene.belief import Belief
 from .. import chart
 from ..next_contact import POWER, candidates_about, expected_slopes, valid_contacts
-
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
 
 TARGETS = 4
 """Taxels, the most uncertain ones, about which candidates are placed: 57 each."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,21 +12,24 @@ from ...core.arguments import check_array, check_real, check_type
 from ...core.arrays import Array
 from ...core.errors import CalibrationError, RecordingError
 from ...recording.recording import Recording
+from ...scene.belief import Belief
 from .. import chart
 from ..calibration import Calibration
 from ..joint.null_space import undetermined
 from ..recalibrate.result import Recalibration
 from ..uncertainty.observability import pose_covariance
-from .frames import ContactFrames, sparse
-from .intake import checked_belief, contacts_of, without_contacts
-from .judge import Judge
+from .frames import (
+    ContactFrames,
+    RecordedFrames,
+    checked_belief,
+    contacts_of,
+    sparse,
+    without_contacts,
+)
 from .next_touch import NextTouch, next_touch
 from .running_estimate import RunningEstimate
 from .running_noise import RunningNoise
-from .status import KEEP_GOING, OnlineStatus
-
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
+from .status import Judge, OnlineStatus
 
 PERIOD = 0.02
 """Time from frame to frame, s, where none is given: 50 frames a second."""
@@ -99,7 +101,8 @@ class OnlineCalibration:
         self.status: OnlineStatus | None = None
         """What the last update told; None before the first."""
         self._rejected = 0
-        self._estimate: RunningEstimate | None = None
+        self.estimate: RunningEstimate | None = None
+        """The running estimate; None before the first contact."""
         self._judge = Judge(self.ids, previous, reachable, self.target)
         self._noise = RunningNoise(self.belief.noise_sigma is not None)
         self._next: NextTouch | None = None
@@ -125,28 +128,19 @@ class OnlineCalibration:
                 value=f"shape {values.shape}",
                 limit=f"({len(contacts)}, {len(self.ids)})",
             )
-        return self._update(contacts, sparse(values, self.belief.threshold))
+        for begin in range(0, len(contacts), FRAMES):
+            rows = slice(begin, begin + FRAMES)
+            self._take(contacts.take(rows), values[rows])
+        if not len(contacts):
+            self._advance(1, self._complete())
+        return self._tell()
 
     def update_recording(self, recording: Recording) -> OnlineStatus:
         """Add the contacts of a recording, or of a part of one, with their readings."""
-        check_type(Recording, recording, "recording of an update")
-        row = {int(k): j for j, k in enumerate(self.ids)}
-        unknown = set(np.unique(recording.reading_taxel).tolist()) - set(row)
-        if unknown:
-            raise CalibrationError(
-                "the recording has taxels that the belief does not know",
-                value=f"ids {sorted(unknown)[:5]}", remedy="use the skin that was recorded",
-            )  # fmt: skip
-        pressure = recording.pressure
-        lost = ~(pressure >= 0)
-        kept = lost | (pressure > self.belief.threshold)
-        order = np.flatnonzero(kept)[np.argsort(recording.reading_contact[kept], kind="stable")]
-        taxel = np.array([row[int(k)] for k in recording.reading_taxel[order]], dtype=int)
-        frames = ContactFrames(
-            recording.points, recording.force, recording.headings, recording.time
-        )
-        values = np.where(lost, np.nan, pressure)[order]
-        return self._update(frames, (recording.reading_contact[order], taxel, values))
+        parts = RecordedFrames(recording, self.ids)
+        for begin in range(0, len(recording.time), FRAMES):
+            self._take(*parts.part(begin, begin + FRAMES))
+        return self._tell()
 
     def settle(self) -> OnlineStatus:
         """Estimate anew all taxels that wait for it, in a time that is not bounded."""
@@ -165,19 +159,19 @@ class OnlineCalibration:
     def provisional(self) -> Array:
         """Positions (n, 3), m, of weak taxels, too: the present estimate, or the mean contact point
         weighted by pressure squared; NaN where unseen. For pictures, not for use."""
-        if self._estimate is None:
+        if self.estimate is None:
             return np.full((len(self.ids), 3), np.nan)
-        info = self._estimate.information
+        info = self.estimate.information
         points = info.points(np.arange(len(self.ids)))
-        near = info.placed & (self._estimate.moved < 0.5)
-        return np.where(near[:, None], points, self._estimate.store.means)
+        near = info.placed & (self.estimate.moved < 0.5)
+        return np.where(near[:, None], points, self.estimate.store.means)
 
     @property
     def poses(self) -> Array:
         """T_body_taxel (n, 4, 4), as `Calibration.poses`; NaN where not determined."""
-        if self._estimate is None:
+        if self.estimate is None:
             return np.full((len(self.ids), 4, 4), np.nan)
-        return chart.poses(self.positions, self._estimate.information.charts.rotations)
+        return chart.poses(self.positions, self.estimate.information.charts.rotations)
 
     @property
     def covariances(self) -> Array:
@@ -185,20 +179,20 @@ class OnlineCalibration:
         what the contact points show of errors of the body; inf where not determined."""
         flat = np.tile(np.diag([np.inf, np.inf]), (len(self.ids), 1, 1))
         shape = np.zeros_like(flat)
-        if self._estimate is not None:
-            known = self._estimate.determined[:, None, None]
-            flat = np.where(known, self._estimate.covariances, flat)
-            shape = self._estimate.information.charts.shape
+        if self.estimate is not None:
+            known = self.estimate.determined[:, None, None]
+            flat = np.where(known, self.estimate.covariances, flat)
+            shape = self.estimate.information.charts.shape
         return pose_covariance(flat, shape)
 
     @property
     def position_sigma(self) -> Array:
         """Standard deviation (n,), m, of the position (root of the trace); inf where not
         determined."""
-        if self._estimate is None:
+        if self.estimate is None:
             return np.full(len(self.ids), np.inf)
-        trace = np.trace(self._estimate.covariances, axis1=1, axis2=2)
-        return np.where(self._estimate.determined, np.sqrt(np.maximum(trace, 0.0)), np.inf)
+        trace = np.trace(self.estimate.covariances, axis1=1, axis2=2)
+        return np.where(self.estimate.determined, np.sqrt(np.maximum(trace, 0.0)), np.inf)
 
     def recording(self) -> Recording:
         """The contacts used so far, with their readings: `save` keeps them, and
@@ -218,20 +212,11 @@ class OnlineCalibration:
         estimation = Estimation(self.recording(), self.belief, start=self.positions)
         return estimation.calibrate()
 
-    def _update(
-        self, frames: ContactFrames, readings: tuple[np.ndarray, np.ndarray, Array]
-    ) -> OnlineStatus:
-        frame, taxel, pressure = readings
-        for begin in range(0, len(frames), FRAMES):
-            end, completed = min(begin + FRAMES, len(frames)), self._complete()
-            mine = slice(*np.searchsorted(frame, [begin, end]))
-            self._add(
-                frames.take(slice(begin, end)), frame[mine] - begin, taxel[mine], pressure[mine]
-            )
-            self._advance(end - begin, completed)
-        if not len(frames):
-            self._advance(1, self._complete())
-        return self._tell()
+    def _take(self, frames: ContactFrames, values: Array) -> None:
+        """Add at most FRAMES frames, and do the work that is due; values (B, n): readings, Pa."""
+        completed = self._complete()
+        self._add(frames, *sparse(values, self.belief.threshold))
+        self._advance(len(frames), completed)
 
     def _add(
         self, frames: ContactFrames, frame: np.ndarray, taxel: np.ndarray, pressure: Array
@@ -243,27 +228,27 @@ class OnlineCalibration:
         self.frames += len(frames)
         pressed = frames.force != 0
         finite = np.isfinite(frames.points).all(axis=1) & (frames.force > 0)
-        if self._estimate is None and finite.any():
-            self._estimate = RunningEstimate(without_contacts(self.belief, frames.take(finite)))
-        if self._estimate is None:
+        if self.estimate is None and finite.any():
+            self.estimate = RunningEstimate(without_contacts(self.belief, frames.take(finite)))
+        if self.estimate is None:
             self._rejected += int(np.sum(pressed))
             return
-        block, valid = contacts_of(self._estimate.store.template, frames, finite)
+        block, valid = contacts_of(self.estimate.store.template, frames, finite)
         self._rejected += int(np.sum(pressed & ~valid))
         if valid.any():
             row, read = np.cumsum(valid) - 1, valid[frame]
-            self._estimate.add(block, (row[frame[read]], taxel[read], pressure[read]))
+            self.estimate.add(block, (row[frame[read]], taxel[read], pressure[read]))
 
     def _complete(self) -> bool:
         """Complete the estimate that the last frame began; whether there was one."""
-        return self._estimate is not None and self._estimate.complete()
+        return self.estimate is not None and self.estimate.complete()
 
     def _advance(self, frames: int, completed: bool) -> None:
         """The bounded work of so many frames: of one frame, one of what there is to do, unless it
         `completed` what the last one began."""
-        if self._estimate is None:
+        if self.estimate is None:
             return
-        estimate = self._estimate
+        estimate = self.estimate
         self._turn += frames
         estimate.solve()
         self._noise.look(estimate)
@@ -282,9 +267,9 @@ class OnlineCalibration:
 
     @property
     def _started(self) -> RunningEstimate:
-        if self._estimate is None:
+        if self.estimate is None:
             raise CalibrationError("no contact so far", remedy="update with contacts first")
-        return self._estimate
+        return self.estimate
 
     @property
     def _modulus(self) -> float:
@@ -313,13 +298,10 @@ class OnlineCalibration:
 
     def _tell(self) -> OnlineStatus:
         n = len(self.ids)
-        if self._estimate is None:
-            self.status = OnlineStatus(
-                0, self._rejected, 0, 0, 0, n, np.nan, np.nan, {}, (), None, KEEP_GOING,
-                "no contact so far",
-            )  # fmt: skip
+        if self.estimate is None:
+            self.status = OnlineStatus(rejected=self._rejected, unseen=n, why="no contact so far")
             return self.status
-        estimate, info = self._estimate, self._estimate.information
+        estimate, info = self.estimate, self.estimate.information
         determined, sigma = estimate.determined, self.position_sigma
         seen, (information, gains) = estimate.store.counts > 0, info.of_shared
         variance = estimate.scale**2 if estimate.misfit else 1.0

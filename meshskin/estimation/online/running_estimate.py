@@ -59,10 +59,13 @@ MAX_ROUNDS = 8
 class RunningEstimate:
     """Estimates of n taxels and of the global parameters from the contacts so far."""
 
-    def __init__(self, first: Measurements, known: Array | None = None) -> None:
+    def __init__(
+        self, first: Measurements, known: Array | None = None, widening: float = 1.0
+    ) -> None:
         """first: measurements without contacts, which have all else; known (ks,): the global
-        parameters, where contacts are given with their errors."""
-        n, self._known, self.widening = len(first.ids), known, 1.0
+        parameters, where contacts are given with their errors; widening: factor of the standard
+        deviations then."""
+        n, self._known, self.widening = len(first.ids), known, widening
         self.store = ContactStore(first)
         self.parameters, self.sigma = first.parameters, first.sigma
         if known is not None:
@@ -212,13 +215,6 @@ class RunningEstimate:
         self._take(rows, estimator, advance(estimator, self.scale), part)
         return True
 
-    def search(self, rows: np.ndarray) -> None:
-        """Estimate the taxels `rows` as the batch estimate does, outlying readings and all."""
-        if len(rows):
-            estimator, part = self.estimator(rows)
-            estimator, misfits = search(estimator, self.scale)
-            self._take(rows, estimator, misfits, part)
-
     def estimator(self, rows: np.ndarray) -> tuple[JointEstimator, Part]:
         """The estimator of the taxels `rows` from where they are, and their measurements."""
         info, known = self.information, self.fits[rows]
@@ -307,14 +303,17 @@ class RunningEstimate:
         self.examined[rows] = 0
 
     def settle(self) -> None:
-        """Estimate anew all that waits, and examine what was not, until nothing moves."""
+        """Estimate anew all that waits, as the batch estimate does, outlying readings and all, and
+        examine what was not, until nothing moves."""
         for _ in range(MAX_ROUNDS):
             counts = self.store.counts
             lost = (counts >= MIN_READINGS) & ~self.fits & (self.searched < counts)
             rows = np.union1d(self.waiting(SETTLED), np.flatnonzero(lost))
             self.searched[rows] = counts[rows]
             for begin in range(0, len(rows), CHUNK):
-                self.search(rows[begin : begin + CHUNK])
+                mine = rows[begin : begin + CHUNK]
+                estimator, part = self.estimator(mine)
+                self._take(mine, *search(estimator, self.scale), part)
             self._examination = None
             open_ = self.unexamined(growth=1.0)
             for begin in range(0, len(open_), CHUNK // basins.COPIES):

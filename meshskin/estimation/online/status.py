@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ...core.arrays import Array
 from ...core.value import Value
-
-if TYPE_CHECKING:
-    from .next_touch import NextTouch
+from ..calibration import Calibration
+from ..data.resolve_belief import MAX_INVALID
+from ..uncertainty.judge import MAX_FAULTY
+from .next_touch import NextTouch
+from .running_estimate import RunningEstimate
 
 KEEP_GOING, DONE = "keep going", "done"
 MISFIT, MOVED = "model misfit", "moved since the last calibration"
@@ -24,6 +25,10 @@ FIRST_LOOK = 30
 """Degrees of freedom, or contacts, at the first look of a test."""
 LOOK_STEP = 1.1
 """Growth of the data from one look to the next: a fault is seen a tenth later than it could be."""
+MIN_COUNT = 20
+"""Contacts or taxels from which fractions of them are believed."""
+MAX_WAITING_MOVE = 0.1
+"""Move since it was estimated anew, in contact radii, up to which a taxel's residuals count."""
 
 
 class SequentialTest:
@@ -75,33 +80,33 @@ def moved_taxels(offset: Array, covariance: Array, level: float) -> np.ndarray:
 class OnlineStatus(Value):
     """The state of an online calibration after an update. SI units."""
 
-    used: int
+    used: int = 0
     """Contacts whose readings count."""
-    rejected: int
+    rejected: int = 0
     """Contacts left out: not finite, off the body, outside the contact model's range, or with
     readings most of which contradict all others."""
-    outlying: int
+    outlying: int = 0
     """Readings of the contacts used that are left out as outlying."""
-    determined: int
+    determined: int = 0
     """Taxels whose place the readings determine."""
-    weak: int
+    weak: int = 0
     """Taxels that were read, but whose place is not determined, or not unique."""
-    unseen: int
+    unseen: int = 0
     """Taxels that no contact has been read by."""
-    median_sigma: float
+    median_sigma: float = np.nan
     """Median standard deviation, m, of the determined taxels' positions; NaN without any."""
-    worst_sigma: float
+    worst_sigma: float = np.nan
     """The largest, m; NaN without any."""
-    unknowns: dict[str, tuple[float, float]]
+    unknowns: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Global parameters: value and standard deviation, as `Calibration.unknowns`."""
-    undetermined: tuple[str, ...]
+    undetermined: tuple[str, ...] = ()
     """Directions of the global parameters that rest on the priors, in words."""
-    next_touch: NextTouch | None
+    next_touch: NextTouch | None = None
     """Where a contact reduces the largest uncertainties most; None where none of the taxels with
     readings needs one, or none was read. It is computed again every NEXT_TOUCH_EVERY frames."""
-    verdict: str
+    verdict: str = KEEP_GOING
     """One of VERDICTS."""
-    why: str
+    why: str = ""
     """The reason of the verdict, in words."""
     residual: float = np.nan
     """Root mean square of the residuals of the last readings, in standard deviations of noise and
@@ -121,3 +126,81 @@ class OnlineStatus(Value):
             f"{self.verdict}: {self.used} contacts ({self.rejected} rejected), "
             f"{self.determined} taxels determined, {self.weak} weak, {self.unseen} unseen; {sigma}"
         )
+
+
+class Judge:
+    """Looks at a running estimate as it grows, and says whether to go on."""
+
+    def __init__(
+        self, ids: np.ndarray, previous: Calibration | None, reachable: np.ndarray, target: float
+    ) -> None:
+        """ids (n,): of the taxels; reachable (n,) bool: those that count; target: standard
+        deviation, m, that is asked for."""
+        self.reachable, self.target = reachable, target
+        self.misfit = ""
+        """Why the model misfits, in words; "" where it does not."""
+        self.moved = np.zeros(len(ids), dtype=bool)
+        """Taxels (n,) that are elsewhere than before."""
+        self._fit_test, self._move_test = SequentialTest(), SequentialTest()
+        self._before: tuple[Array, Array] | None = None
+        if previous is not None:
+            place = {int(k): j for j, k in enumerate(previous.ids)}
+            rows = np.array([place.get(int(k), -1) for k in ids])
+            turn = previous.poses[rows, :3, :3]
+            covariance = turn @ previous.covariances[rows, :3, :3] @ np.swapaxes(turn, 1, 2)
+            points = np.where((rows >= 0)[:, None], previous.positions[rows], np.nan)
+            self._before = points, covariance
+
+    def look(self, estimate: RunningEstimate, rejected: int) -> None:
+        """Test fit and moves, where it is time to; rejected: contacts that were left out before."""
+        self._look_at_fit(estimate, rejected)
+        self._look_for_moves(estimate)
+
+    def verdict(self, sigma: Array, seen: np.ndarray) -> tuple[str, str]:
+        """The verdict and its reason; sigma (n,): standard deviations, m, inf where not determined;
+        seen (n,) bool: taxels with readings."""
+        if self.misfit:
+            return MISFIT, self.misfit
+        if self.moved.any():
+            return MOVED, f"{self.moved.sum()} taxels are elsewhere"
+        above = self.reachable & (sigma > self.target)
+        if not above.any():
+            return DONE, f"every reachable taxel is known to {1e3 * self.target:.3g} mm"
+        unseen = int(np.sum(above & ~seen))
+        words = f"{above.sum() - unseen} taxels are above the target, {unseen} were never read"
+        return KEEP_GOING, words
+
+    def _look_at_fit(self, estimate: RunningEstimate, rejected: int) -> None:
+        placed = estimate.information.placed
+        used = placed & estimate.fits & (estimate.moved < MAX_WAITING_MOVE)
+        square = float(estimate.square[used].sum())
+        freedom = float(estimate.freedom[used].sum()) - len(estimate.parameters.sigma)
+        if not (level := self._fit_test.look(freedom)):
+            return
+        unfit = int(np.sum(placed & ~estimate.fits))
+        contacts = rejected + estimate.store.count
+        rejected += int(estimate.store.misfitting.values.sum())
+        self.misfit = ""
+        pairs = estimate.store.template.noise_pairs
+        if not estimate.store.noise_is_nominal and misfits(square, freedom, level, pairs):
+            self.misfit = f"residuals are {np.sqrt(square / freedom):.3g} times the noise"
+        elif contacts >= MIN_COUNT and rejected > MAX_INVALID * contacts:
+            self.misfit = f"{rejected} of {contacts} contacts are rejected"
+        elif placed.sum() >= MIN_COUNT and unfit > MAX_FAULTY * placed.sum():
+            self.misfit = f"the readings of {unfit} of {placed.sum()} taxels do not fit"
+        estimate.misfit = bool(self.misfit)
+
+    def _look_for_moves(self, estimate: RunningEstimate) -> None:
+        if self._before is None or not (level := self._move_test.look(estimate.store.count)):
+            return
+        info, (points, covariance) = estimate.information, self._before
+        tangents = info.charts.tangents
+        compared = estimate.determined & np.isfinite(points[:, 0])
+        compared &= np.isfinite(covariance).all(axis=(1, 2))
+        rows = np.flatnonzero(compared)
+        offset = np.full((len(compared), 2), np.nan)
+        offset[rows] = np.einsum("nij,ni->nj", tangents[rows], info.points(rows) - points[rows])
+        both = np.full((len(compared), 2, 2), np.inf)
+        both[rows] = np.swapaxes(tangents[rows], 1, 2) @ covariance[rows] @ tangents[rows]
+        both[rows] += estimate.covariances[rows]
+        self.moved = moved_taxels(offset, both, level)

@@ -23,9 +23,8 @@ import numpy as np
 from ...core.arrays import Array
 from ...core.ipopt import BufferCallback, BufferedFunction, IterationCallback, solver
 from .cholesky import Cholesky
-from .edge_assembly import EdgeAssembly
+from .edge_assembly import EDGE, EdgeAssembly
 from .ipopt_linear_solver import IpoptLinearSolver
-from .kernel import EDGE
 from .symbolic_factorization import IntArray
 from .symmetric_blocks import SymmetricBlocks
 

@@ -7,7 +7,7 @@ the scale of the readings by least squares between.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,8 +18,7 @@ from scipy.special import log_ndtr
 from ...core.arrays import Array
 from ..data.measurements import NOMINAL_NOISE
 from .hypotheses import Hypothesis
-from .skin_map import SkinMap
-from .touches import Block, Errors, Touches, covariance_of, log_likelihood
+from .touches import Errors, Touches
 
 PRIOR = {"sigma": (NOMINAL_NOISE, 1.5), "tau": (0.1e-3, 1.0), "rho": (0.03, 1.0)}
 """Medians and standard deviations of the logarithms of sigma, relative to the typical peak, of tau,
@@ -48,50 +47,29 @@ def start(touches: Touches) -> Errors:
     )  # fmt: skip
 
 
-def fit(touches: Touches, known: SkinMap, states: Sequence[Hypothesis], errors: Errors) -> Errors:
+def fit(touches: Touches, states: Sequence[Hypothesis], errors: Errors) -> Errors:
     """The errors that explain the units in their states (u,) best."""
-    units = [u for u, rows in enumerate(known.units) if np.isfinite(touches.level[:, rows]).any()]
-    units = units[:: -(-len(units) // MAX_UNITS)] if units else []
+    answered = [np.isfinite(touches.level[:, rows]).any() for rows in touches.known.units]
+    units = np.flatnonzero(answered).tolist()
+    used = {u: states[u] for u in units[:: -(-len(units) // MAX_UNITS) or 1]}
     for _ in range(ROUNDS):
-        errors = _fit_common(touches, known, states, errors, units)
-        errors = _fit_errors(touches, known, states, errors, units)
+        errors = _fit_errors(touches, used, _fit_common(touches, used, errors))
     return errors
 
 
-def _blocks(
-    touches: Touches,
-    known: SkinMap,
-    states: Sequence[Hypothesis],
-    errors: Errors,
-    units: Sequence[int],
-) -> list[tuple[Block, Array, Hypothesis]]:
-    found = []
-    for unit in units:
-        rows = known.units[unit]
-        places = known.covariance[rows]
-        found.append(
-            (touches.blocks(rows, places, [states[unit]], errors)[0], places, states[unit])
-        )
-    return found
-
-
-def _fit_common(
-    touches: Touches,
-    known: SkinMap,
-    states: Sequence[Hypothesis],
-    errors: Errors,
-    units: Sequence[int],
-) -> Errors:
-    """ln E* and ln scale by a Gauss-Newton step from where they are, with their covariance."""
+def _fit_common(touches: Touches, states: Mapping[int, Hypothesis], errors: Errors) -> Errors:
+    """ln E* and ln scale by a Gauss-Newton step from where they are, with their covariance, by the
+    units in their `states`."""
     at = np.array([errors.log_modulus, errors.log_scale])
     information = np.diag(1 / np.square(COMMON))
     score = -information @ at
     own = replace(errors, common=((0.0, 0.0), (0.0, 0.0)))
-    for block, places, state in _blocks(touches, known, states, own, units):
+    for unit, state in states.items():
+        (block,) = touches.blocks(unit, [state], own)
         read = np.flatnonzero(block.read)
         if not len(read):
             continue
-        c = covariance_of(block, own, places, state)[np.ix_(read, read)]
+        c = block.covariance(own)[np.ix_(read, read)]
         by = np.stack([block.by_modulus, block.by_scale], axis=1)[read]
         solved = cho_solve(cho_factor(c, lower=True), by)
         information += by.T @ solved
@@ -104,15 +82,9 @@ def _fit_common(
     return replace(errors, log_modulus=float(e), log_scale=float(g), common=common)
 
 
-def _fit_errors(
-    touches: Touches,
-    known: SkinMap,
-    states: Sequence[Hypothesis],
-    errors: Errors,
-    units: Sequence[int],
-) -> Errors:
+def _fit_errors(touches: Touches, states: Mapping[int, Hypothesis], errors: Errors) -> Errors:
     """sigma, tau and rho by the posterior mode of their logarithms."""
-    blocks = _blocks(touches, known, states, errors, units)
+    blocks = [touches.blocks(unit, [state], errors)[0] for unit, state in states.items()]
     centre, width = _scales(touches)
 
     def at(x: Array) -> Errors:
@@ -121,16 +93,8 @@ def _fit_errors(
 
     def cost(x: Array) -> float:
         trial = at(x)
-        return (
-            0.5 * float(x @ x)
-            - far_silence(trial, touches)
-            - sum(
-                log_likelihood(
-                    block, covariance_of(block, trial, places, state), trial, touches.threshold
-                )
-                for block, places, state in blocks
-            )
-        )
+        likelihood = sum(block.log_likelihood(trial, touches.threshold) for block in blocks)
+        return 0.5 * float(x @ x) - far_silence(trial, touches) - likelihood
 
     x0 = np.log([errors.sigma, errors.tau, errors.rho] / centre) / width
     simplex = np.concatenate([x0[None], x0 + 0.5 * np.eye(len(x0))])

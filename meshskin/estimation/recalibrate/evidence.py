@@ -3,10 +3,18 @@
 The evidence is the mean of the likelihood ratio over the hypotheses, weighted by their prior
 probabilities. If the unit did not change, its expected value is one, whatever the hypotheses and
 the number of readings, and so it exceeds u / alpha with a probability of at most alpha / u
-(Markov's inequality): over u units, false alarms have a probability of at most alpha. Where the
-evidence is nearly that large, its probability if the unit did not change is drawn (chance.py).
+(Markov's inequality): over u units, false alarms have a probability of at most alpha.
 
-Source: Gruenwald, de Heide, Koolen, "Safe Testing", J. R. Stat. Soc. B 86 (2024).
+Where the evidence is nearly that large, its probability if the unit did not change is drawn. The
+evidence E is the ratio of the density Q of the readings under the changes, weighted by their prior
+probabilities, to the density P under none. With importance sampling from Q
+
+    P(E >= e) = E_Q[1/E; E >= e],
+
+which is at most 1/e, Markov's bound; a few hundred draws give it to a tenth, however small it is.
+
+Sources: Gruenwald, de Heide, Koolen, "Safe Testing", J. R. Stat. Soc. B 86 (2024); Siegmund,
+"Importance Sampling in the Monte Carlo Study of Sequential Tests", Annals of Statistics 4 (1976).
 """
 
 from __future__ import annotations
@@ -18,7 +26,6 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
 from ...core.arrays import Array
-from .chance import log_chance
 from .hypotheses import (
     CONFIRMED,
     DEAD,
@@ -35,8 +42,7 @@ from .hypotheses import (
     ring,
     unchanged,
 )
-from .skin_map import SkinMap
-from .touches import Block, Errors, Touches, covariance_of, log_likelihood
+from .touches import Block, Errors, Touches, log_likelihoods
 
 MIN_ODDS = float(np.log(100.0))
 """ln of the likelihood ratio by which each turn, exchange and death must be excluded before a unit
@@ -49,6 +55,8 @@ MAX_CHANGES = 3
 SLACK = 6.0
 """How far the ln evidence may be below what Markov's inequality asks for the probability to be
 drawn: that inequality is too wide by 2 to 4 there, and drawing takes a second."""
+DRAWS = 300
+"""Sets of readings that are drawn."""
 MAX_DRAWN = 4_000_000
 """Largest number of entries of the covariances of all hypotheses, of which readings are drawn: 32
 MB; a unit with more readings than that, about 100, shows its changes without."""
@@ -94,25 +102,26 @@ class Evidence:
     """Whether all turns, exchanges and the death of the unit are excluded."""
 
 
-def judge(touches: Touches, known: SkinMap, unit: int, errors: Errors, limit: float) -> Evidence:
+def judge(touches: Touches, unit: int, errors: Errors, limit: float) -> Evidence:
     """The changes of a unit that would be found with a probability of at most exp(-limit) if it had
     not changed, and what else was excluded."""
-    rows, state = known.units[unit], unchanged(known, unit)
-    places, first = known.covariance[rows], None
+    start = state = unchanged(touches.known, unit)
     changes: list[Change] = []
+    nulls: list[float] = []
     while True:
-        tried = _trial(touches, known, unit, state, places, errors, limit)
-        first = tried.null if first is None else first
+        tried = _trial(touches, unit, state, errors, limit)
+        nulls.append(tried.null)
         evidence = float(logsumexp(tried.posterior))
-        log_chance = _log_chance(touches, rows, places, state, tried, errors, evidence, limit)
+        log_chance = _log_chance(touches, unit, tried, errors, evidence, limit)
         if log_chance > -limit or len(changes) == MAX_CHANGES:
             break
-        change = replace(_change(tried, errors, places, evidence), log_chance=log_chance)
+        change = replace(_change(tried, errors, evidence), log_chance=log_chance)
         changes.append(change)
-        state = _changed(change, len(rows))
-        places = places + change.shift_covariance
-    touched, alive, confirmed = _excluded(tried, touches.threshold, len(rows))
-    return Evidence(first, state, tuple(changes), evidence, touched, alive, confirmed)
+        state = _changed(change, len(state.points))
+    touched, alive, confirmed = _excluded(tried, touches.threshold, len(state.points))
+    # the errors are fitted to places that are as uncertain as in the map
+    state = replace(state, covariance=start.covariance)
+    return Evidence(nulls[0], state, tuple(changes), evidence, touched, alive, confirmed)
 
 
 @dataclass(frozen=True)
@@ -123,9 +132,8 @@ class _Trial:
     """ln likelihood of the state."""
     block: Block
     """The readings under it."""
-    steps: list[Hypothesis]
     blocks: list[Block]
-    """The readings under each of the steps (h,)."""
+    """The readings under each of the alternatives (h,)."""
     ratio: Array
     """ln likelihoods (h,) relative to that of the state."""
     log_prior: Array
@@ -133,68 +141,74 @@ class _Trial:
 
     @property
     def posterior(self) -> Array:
-        """ln (h,) of the probabilities of the steps, relative to that of the state."""
+        """ln (h,) of the probabilities of the alternatives, relative to that of the state."""
         return self.ratio + self.log_prior
 
 
-def _trial(
-    touches: Touches,
-    known: SkinMap,
-    unit: int,
-    state: Hypothesis,
-    places: Array,
-    errors: Errors,
-    limit: float,
-) -> _Trial:
+def _trial(touches: Touches, unit: int, state: Hypothesis, errors: Errors, limit: float) -> _Trial:
     """The alternatives to `state`; continuous ones only where the unit misfits (which makes the
     evidence smaller, never larger)."""
-    rows, threshold = known.units[unit], touches.threshold
-    block = touches.blocks(rows, places, [state], errors)[0]
-    c = covariance_of(block, errors, places, state)
-    null = log_likelihood(block, c, errors, threshold)
-    steps = discrete(known, unit, state, touches)
-    if _misfit(block, c, errors, threshold) >= MISFIT * limit:
+    known, threshold = touches.known, touches.threshold
+    (block,) = touches.blocks(unit, [state], errors)
+    as_expected = np.where(block.read, block.mean, np.nan)
+    null = block.log_likelihood(errors, threshold)
+    misfit = replace(block, level=as_expected).log_likelihood(errors, threshold) - null
+    steps = discrete(touches, unit, state)
+    if misfit >= MISFIT * limit:
         if state.state == CONFIRMED:
             steps += moved(state, touches.data.body, grid())
         steps += regained(state, known.slots is None)
-    blocks = touches.blocks(rows, places, steps, errors)
-    ratio = np.array([
-        log_likelihood(b, covariance_of(b, errors, places, h), errors, threshold)
-        for b, h in zip(blocks, steps, strict=True)
-    ]) - null  # fmt: skip
-    expected = np.zeros(len(rows))
+    blocks = touches.blocks(unit, steps, errors)
+    ratio = np.array([b.log_likelihood(errors, threshold) for b in blocks]) - null
+    expected = np.zeros(len(state.points))
     np.maximum.at(expected, block.taxel, block.mean)
-    return _Trial(null, block, steps, blocks, ratio, log_prior(steps, len(known.units), expected))
+    return _Trial(null, block, blocks, ratio, log_prior(steps, len(known.units), expected))
 
 
 def _log_chance(
-    touches: Touches,
-    rows: np.ndarray,
-    places: Array,
-    state: Hypothesis,
-    tried: _Trial,
-    errors: Errors,
-    evidence: float,
-    limit: float,
+    touches: Touches, unit: int, tried: _Trial, errors: Errors, evidence: float, limit: float
 ) -> float:
-    """ln of a bound on the probability of so large an evidence if the unit is in `state`: Markov's,
-    or, where that does not suffice but might nearly, the drawn one."""
+    """ln of a bound on the probability of so large an evidence if the unit is as it was tried:
+    Markov's, or, where that does not suffice but might nearly, the drawn one."""
     if not limit - SLACK < evidence <= limit:
         return -evidence
-    steps = [state, *tried.steps]
-    blocks = touches.blocks(rows, places, steps, errors, same_pairs=True)
+    steps = [block.hypothesis for block in (tried.block, *tried.blocks)]
+    blocks = touches.blocks(unit, steps, errors, same_pairs=True)
     if len(steps) * len(blocks[0].mean) ** 2 > MAX_DRAWN:
         return -evidence
     mean = np.stack([b.mean for b in blocks])
-    c = np.stack([
-        covariance_of(b, errors, places, h) for b, h in zip(blocks, steps, strict=True)
-    ])  # fmt: skip
+    c = np.stack([b.covariance(errors) for b in blocks])
     return log_chance(mean, c, tried.log_prior, evidence, errors, touches.threshold)
+
+
+def log_chance(
+    mean: Array, c: Array, log_prior: Array, evidence: float, errors: Errors, threshold: float
+) -> float:
+    """ln of the probability of an ln evidence of `evidence` or more, if there is no change.
+
+    mean (1 + h, q) and c (1 + h, q, q): means and covariances of the readings of the same pairs,
+    without a change first, and with h changes; log_prior (h,): ln of their prior probabilities,
+    whose sum may be less than one: changes that are left out have Markov's bound. threshold:
+    readings below it are silent.
+    """
+    rng, weight = np.random.default_rng(0), np.exp(log_prior)
+    total = float(weight.sum())
+    found = np.zeros(DRAWS)
+    chosen = rng.choice(len(weight), DRAWS, p=weight / total)
+    for k, change in enumerate(chosen):
+        level = rng.multivariate_normal(mean[1 + change], c[1 + change], method="cholesky")
+        level = np.where(level > threshold, level, np.nan)
+        likelihood = log_likelihoods(level, mean, c, errors, threshold)
+        drawn = float(logsumexp(likelihood[1:] - likelihood[0] + log_prior))
+        found[k] = np.exp(evidence - drawn) if drawn >= evidence else 0.0
+    share = total * float(found.mean()) + max(1 - total, 0.0)
+    return float(np.log(share)) - evidence if share > 0 else -np.inf
 
 
 def _changed(change: Change, k: int) -> Hypothesis:
     """The unit of k taxels after a change, at the estimate of what it left open."""
-    state = replace(change.hypothesis, shift_sigma=0.0, gain_sigma=0.0)
+    covariance = change.hypothesis.covariance + change.shift_covariance
+    state = replace(change.hypothesis, shift_sigma=0.0, gain_sigma=0.0, covariance=covariance)
     if state.state == GAIN:
         mine = (np.arange(k) == state.taxel) | (state.taxel < 0)
         residual = change.log_gain - change.hypothesis.change
@@ -212,36 +226,23 @@ def _excluded(tried: _Trial, threshold: float, k: int) -> tuple[np.ndarray, np.n
     touched = np.zeros(k, dtype=bool)
     answers = block.mean > max(ANSWERED * threshold, LEAST_READING)
     touched[block.taxel[answers | block.read]] = True
-    states = np.array([h.state for h in tried.steps], dtype=object)
+    states = np.array([b.hypothesis.state for b in tried.blocks], dtype=object)
     dead = out[states == DEAD]  # the whole unit, and then each of its taxels
     confirmed = dead[0] and out[np.isin(states, (TURNED, EXCHANGED))].all()
     return touched, touched & dead[-k:], bool(confirmed)
 
 
-def is_placed(
-    touches: Touches, known: SkinMap, unit: int, errors: Errors, state: Hypothesis
-) -> bool:
+def is_placed(touches: Touches, unit: int, errors: Errors, state: Hypothesis) -> bool:
     """Whether a move of a unit in `state` by MOVE, in each of eight directions, is excluded."""
-    rows = known.units[unit]
-    places = known.covariance[rows]
     steps = [state, *moved(state, touches.data.body, ring())]
-    null, *moves = [
-        log_likelihood(b, covariance_of(b, errors, places, h), errors, touches.threshold)
-        for b, h in zip(touches.blocks(rows, places, steps, errors), steps, strict=True)
-    ]
+    blocks = touches.blocks(unit, steps, errors)
+    null, *moves = [block.log_likelihood(errors, touches.threshold) for block in blocks]
     return max(moves) < null - MIN_ODDS
 
 
-def _misfit(block: Block, c: Array, errors: Errors, threshold: float) -> float:
-    """By how much the ln likelihood is below that of readings as expected."""
-    as_expected = np.where(block.read, block.mean, np.nan)
-    perfect = log_likelihood(replace(block, level=as_expected), c, errors, threshold)
-    return perfect - log_likelihood(block, c, errors, threshold)
-
-
-def _change(tried: _Trial, errors: Errors, places: Array, evidence: float) -> Change:
+def _change(tried: _Trial, errors: Errors, evidence: float) -> Change:
     """The most probable kind of change, with the estimate of what it leaves open."""
-    steps, blocks, posterior = tried.steps, tried.blocks, tried.posterior
+    steps, posterior = [block.hypothesis for block in tried.blocks], tried.posterior
     kinds = [(h.state, h.taxel, h.value) for h in steps]
     total = {
         kind: logsumexp([p for p, k in zip(posterior, kinds, strict=True) if k == kind])
@@ -257,7 +258,7 @@ def _change(tried: _Trial, errors: Errors, places: Array, evidence: float) -> Ch
     share = np.exp(posterior[mine] - logsumexp(posterior[mine]))
     if best[0] not in (MOVED, GAIN):
         return Change(steps[first], evidence)
-    estimates = [_estimate(steps[k], blocks[k], errors, places) for k in mine]
+    estimates = [_estimate(tried.blocks[k], errors) for k in mine]
     mean = np.array([m for m, _ in estimates])
     centre = share @ mean
     spread = np.einsum("h,hi,hj->ij", share, mean - centre, mean - centre)
@@ -270,11 +271,11 @@ def _change(tried: _Trial, errors: Errors, places: Array, evidence: float) -> Ch
     )  # fmt: skip
 
 
-def _estimate(h: Hypothesis, block: Block, errors: Errors, places: Array) -> tuple[Array, Array]:
+def _estimate(block: Block, errors: Errors) -> tuple[Array, Array]:
     """Posterior mean (d,) and covariance (d, d) of the move, m, or of the change of ln gain."""
+    h, by = block.hypothesis, block.open_slopes
     at = np.array(h.shift) if h.state == MOVED else np.array([h.change])
     sigma = h.shift_sigma if h.state == MOVED else h.gain_sigma
-    by = h.open_slopes(block.taxel, block.slope, block.by_scale)
     assert by is not None
     read = np.flatnonzero(block.read)
     tangent = np.eye(len(at))  # a move has no part along the normal
@@ -283,7 +284,7 @@ def _estimate(h: Hypothesis, block: Block, errors: Errors, places: Array) -> tup
         tangent -= np.outer(up, up) / (up @ up)
     if not len(read):
         return at, sigma**2 * tangent
-    c = covariance_of(block, errors, places, h)[np.ix_(read, read)]
+    c = block.covariance(errors)[np.ix_(read, read)]
     solved = cho_solve(cho_factor(c, lower=True), by[read])
     mean = at + sigma * tangent @ solved.T @ (block.level - block.mean)[read]
     left = np.eye(len(at)) - by[read].T @ solved

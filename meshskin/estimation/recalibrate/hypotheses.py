@@ -60,6 +60,8 @@ class Hypothesis:
     """(k, 3)."""
     log_gain: Array
     """ln (k,) of the factor of each level; -inf: dead."""
+    covariance: Array
+    """Covariances (k, 3, 3) of the points, m^2."""
     taxel: int = -1
     """The taxel, counted in the unit, that changed alone; -1: all of them."""
     value: float = 0.0
@@ -73,31 +75,26 @@ class Hypothesis:
     gain_sigma: float = 0.0
     """Standard deviation of what is left open of ln gain."""
 
-    def open_slopes(self, taxel: np.ndarray, slope: Array, by_scale: Array) -> Array | None:
-        """Derivatives (q, d) of the readings in what is left open, whitened; None: nothing is.
-
-        slope (q, 3), 1/m, and by_scale (q,): their derivatives in the place and in ln gain."""
-        mine = (taxel == self.taxel) | (self.taxel < 0)
-        if self.shift_sigma:
-            return np.asarray(self.shift_sigma * slope * mine[:, None])
-        if self.gain_sigma:
-            return np.asarray(self.gain_sigma * (by_scale * mine)[:, None])
-        return None
-
 
 def unchanged(known: SkinMap, unit: int) -> Hypothesis:
     """The hypothesis that a unit is as the map says."""
     rows = known.units[unit]
-    return Hypothesis(CONFIRMED, known.points[rows], known.poses[rows, :3, 2], known.log_gain[rows])
+    points, normals = known.points[rows], known.poses[rows, :3, 2]
+    return Hypothesis(CONFIRMED, points, normals, known.log_gain[rows], known.covariance[rows])
 
 
-def discrete(known: SkinMap, unit: int, base: Hypothesis, touches: Touches) -> list[Hypothesis]:
+def dead(base: Hypothesis) -> Hypothesis:
+    """The unit with all of its taxels dead."""
+    return replace(base, state=DEAD, log_gain=base.log_gain - np.inf)
+
+
+def discrete(touches: Touches, unit: int, base: Hypothesis) -> list[Hypothesis]:
     """Turns, exchanges, and taxels that are dead, of a unit that is as `base` says."""
-    rows, found = known.units[unit], [replace(base, state=DEAD, log_gain=base.log_gain - np.inf)]
-    if known.slots is not None:
-        found += [_alone(base, DEAD, k, -np.inf) for k in range(len(rows))]
+    found = [dead(base)]
+    if touches.known.slots is not None:
+        found += [_alone(base, DEAD, k, -np.inf) for k in range(len(base.points))]
     if base.state == CONFIRMED:
-        found += turned(known, unit, base) + _exchanged(known, unit, base, touches)
+        found += turned(touches.known, unit, base) + _exchanged(touches, unit, base)
     return found
 
 
@@ -125,10 +122,11 @@ def turned(known: SkinMap, unit: int, base: Hypothesis) -> list[Hypothesis]:
     ]
 
 
-def _exchanged(known: SkinMap, unit: int, base: Hypothesis, touches: Touches) -> list[Hypothesis]:
+def _exchanged(touches: Touches, unit: int, base: Hypothesis) -> list[Hypothesis]:
     """The unit at the places of the others of the same slots, as far as they were touched where
     this unit answered: elsewhere it has no readings to explain."""
-    rows, found = known.units[unit], []
+    known, found = touches.known, []
+    rows = known.units[unit]
     contacts = np.flatnonzero(np.isfinite(touches.level[:, rows]).any(axis=1))
     if not len(contacts):
         return []
@@ -165,9 +163,7 @@ def moved(base: Hypothesis, body: Body, flat: Array) -> list[Hypothesis]:
     """A unit moved over the body by `flat` (g, 2), m, along two tangents."""
     up = base.normals.mean(axis=0)
     up /= np.linalg.norm(up)
-    first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    first /= np.linalg.norm(first)
-    shifts = flat @ np.stack([first, np.cross(up, first)])
+    shifts = flat @ se3.orthonormal_basis(up, -se3.perpendicular(up))[:, :2].T.copy()
     hit = body.closest((base.points + shifts[:, None]).reshape(-1, 3))
     points = hit.point.reshape(len(shifts), -1, 3)
     normals = hit.normal.reshape(points.shape)

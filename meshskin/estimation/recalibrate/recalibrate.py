@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core.arguments import check_real, check_type
-from ...core.arrays import Array
 from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
 from ...core.progress import Progress, Stage
@@ -36,10 +35,9 @@ from .hypotheses import (
     unchanged,
 )
 from .readings import read, recorded_belief
-from .result import Finding, Recalibration
+from .result import Finding, Recalibration, updated
 from .skin_map import SIGMA, SkinMap, skin_map
 from .touches import Touches
-from .updated_map import updated
 
 if TYPE_CHECKING:
     from ...scene.belief import Belief
@@ -86,20 +84,21 @@ def recalibrate(
     touches = read(recording, belief, known, previous)
     limit = float(np.log(len(known.units) / false_alarm))
     stage = Stage(progress, "recalibrate", USUAL_PASSES * len(known.units))
-    fits = [_settled(touches, known, limit, wide, stage) for wide in (True, False)]
+    fits = [_settled(touches, limit, wide, stage) for wide in (True, False)]
     stage.end()
     errors, found = max(fits, key=lambda fit: _score(fit[0], fit[1], touches, limit))
     findings = _findings(known, found)
+    strongest = [e.changes[0].log_evidence if e.changes else e.log_evidence for e in found]
     return Recalibration(
         calibration=updated(previous, belief, known, found, findings, len(touches.data.points)),
         findings=findings,
         units=known.numbers,
         unit=known.noun,
         unit_states=_unit_states(found),
-        unit_evidence=np.array([_first(e) for e in found]) / np.log(10),
+        unit_evidence=np.array(strongest) / np.log(10),
         placed=np.array(
             [
-                bool(e.touched.any()) and is_placed(touches, known, u, errors, e.state)
+                bool(e.touched.any()) and is_placed(touches, u, errors, e.state)
                 for u, e in enumerate(found)
             ]
         ),
@@ -113,18 +112,19 @@ def recalibrate(
 
 
 def _settled(
-    touches: Touches, known: SkinMap, limit: float, wide: bool, stage: Stage
+    touches: Touches, limit: float, wide: bool, stage: Stage
 ) -> tuple[Errors, list[Evidence]]:
     """Errors and states that agree. They start from all units unchanged, with the errors that this
     takes (`wide`), or from ordinary errors, with the changes that this takes."""
-    states: list[Hypothesis] = [unchanged(known, u) for u in range(len(known.units))]
+    units = range(len(touches.known.units))
+    states: list[Hypothesis] = [unchanged(touches.known, u) for u in units]
     errors, seen = error_model.start(touches), []
     for k in range(MAX_PASSES):
         if wide or k:
-            errors = error_model.fit(touches, known, states, errors)
+            errors = error_model.fit(touches, states, errors)
         found = []
-        for u in range(len(known.units)):
-            found.append(judge(touches, known, u, errors, limit))
+        for u in units:
+            found.append(judge(touches, u, errors, limit))
             stage.step()
         states = [evidence.state for evidence in found]
         signature = [(h.state, h.taxel, h.value) for h in states]
@@ -141,10 +141,6 @@ def _score(errors: Errors, found: list[Evidence], touches: Touches, limit: float
     for evidence in found:
         total += evidence.null + sum(-c.log_chance - limit for c in evidence.changes)
     return total
-
-
-def _first(evidence: Evidence) -> float:
-    return evidence.changes[0].log_evidence if evidence.changes else evidence.log_evidence
 
 
 def _unit_states(found: list[Evidence]) -> np.ndarray:
@@ -203,9 +199,5 @@ def _words(known: SkinMap, change: Change) -> str:
     if h.state == GAIN:
         factor, spread = np.exp(change.log_gain), change.log_gain_sigma
         return f"gain times {factor:.2f} (+- {factor * spread:.2g})"
-    size = float(np.linalg.norm(change.shift))
-    return f"moved by {1e3 * size:.2f} mm (+- {1e3 * _spread(change.shift_covariance):.2g})"
-
-
-def _spread(covariance: Array) -> float:
-    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    size, spread = np.linalg.norm(change.shift), np.linalg.eigvalsh(change.shift_covariance)[-1]
+    return f"moved by {1e3 * size:.2f} mm (+- {1e3 * np.sqrt(spread):.2g})"

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...contact import AUTO, LEARNED, ContactModel, Patches
+from ...contact import AUTO, LEARNED
 from ...core.arguments import check_integer
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
@@ -24,9 +24,10 @@ from ...core.progress import Progress, Stage
 from ...core.value import Value
 from .. import chart
 from ..data.measurements import Measurements
-from ..data.resolve_belief import with_valid_model
+from ..data.resolve_belief import contact_model, with_valid_model
+from ..next_contact import candidates_around, reference_patches
 from . import errors as error_model
-from .hypotheses import DEAD, moved, ring, turned, unchanged
+from .hypotheses import dead, moved, ring, turned, unchanged
 from .readings import touches_of
 from .skin_map import SkinMap, skin_map
 from .touches import Touches
@@ -43,8 +44,6 @@ MIN_SQUARE = 0.2
 RINGS = (0.5, 0.85, 1.15)
 """Radii of the candidates about a taxel, in contact radii, beside its centre: readings inform most
 where the profile is steep, near the edge of the patch."""
-DIRECTIONS = 8
-"""Candidates on a ring."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,32 +132,18 @@ def _candidates(known: SkinMap, belief: Belief, tested: np.ndarray) -> Measureme
     if belief.contact in (AUTO, LEARNED):
         curvature = belief.body.closest(known.points[rows]).curvature
         belief = with_valid_model(belief, np.full(len(rows), belief.force_reference), curvature)
-    material = belief.material
-    model = ContactModel(belief.contact, material.poisson, material.thickness)
-
-    def patches(curvature: Array) -> Patches:
-        return model.patches(
-            force=np.full(len(curvature), belief.force_reference),
-            curvature=curvature,
-            indenter_radius=belief.indenter.radius,
-            effective_modulus=material.effective_modulus,
-        )
-
-    radius = float(patches(np.zeros((1, 2))).first[0])
-    angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    offsets = radius * np.concatenate([[[0.0, 0.0]], *(ring * circle for ring in RINGS)])
+    modulus = belief.material.effective_modulus
+    radius = float(reference_patches(belief, np.zeros((1, 2)), modulus).first[0])
     charts = chart.charts_at(belief.body, known.points[rows])
-    owner = np.repeat(np.arange(len(rows)), len(offsets))
-    hit = belief.body.closest(charts[owner].at(np.tile(offsets, (len(rows), 1))))
+    hit = belief.body.closest(candidates_around(charts, radius, RINGS))
     none = np.zeros(0, dtype=int)
     return Measurements(
         belief=replace(belief, taxel_ids=known.ids),
         points=hit.point, normals=hit.normal, directions=hit.direction,
         curvature=hit.curvature, force=np.full(len(hit.point), belief.force_reference),
-        patches=patches(hit.curvature), model=model, contact=none, taxel=none,
-        pressure=np.zeros(0), noise=belief.noise_sigma, threshold=belief.threshold,
-        ends=np.full(len(known.ids), np.inf),
+        patches=reference_patches(belief, hit.curvature, modulus), model=contact_model(belief),
+        contact=none, taxel=none, pressure=np.zeros(0), noise=belief.noise_sigma,
+        threshold=belief.threshold, ends=np.full(len(known.ids), np.inf),
     )  # fmt: skip
 
 
@@ -172,25 +157,21 @@ def _factors(
     owner: list[int] = []
     m = len(touches.data.points)
     for unit in tested:
-        rows, state = known.units[unit], unchanged(known, unit)
-        changes = [
-            state,
-            replace(state, state=DEAD, log_gain=state.log_gain - np.inf),
-            *turned(known, unit, state),
-            *moved(state, touches.data.body, ring()[::2]),
-        ]
-        blocks = touches.blocks(rows, known.covariance[rows], changes, errors)
-        count = m * len(rows)
-        mean = np.full((len(blocks), count), touches.threshold)
-        variance = np.full((len(blocks), count), errors.sigma**2)
+        state = unchanged(known, int(unit))
+        turns, moves = turned(known, int(unit), state), ring()[::2]
+        changes = [state, dead(state), *turns, *moved(state, touches.data.body, moves)]
+        blocks = touches.blocks(int(unit), changes, errors)
+        size = len(state.points)
+        mean = np.full((len(blocks), m * size), touches.threshold)
+        variance = np.full(mean.shape, errors.sigma**2)
         for k, block in enumerate(blocks):
-            cell = block.contact * len(rows) + block.taxel
+            cell = block.contact * size + block.taxel
             mean[k, cell] = np.maximum(block.mean, touches.threshold)
-            places = known.covariance[rows][block.taxel] + errors.tau**2 * np.eye(3)
+            places = state.covariance[block.taxel] + errors.tau**2 * np.eye(3)
             variance[k, cell] += (errors.rho * block.mean) ** 2 + block.bend
             variance[k, cell] += np.einsum("qi,qij,qj->q", block.slope, places, block.slope)
         square = (mean[1:] - mean[0]) ** 2 / np.maximum(variance[1:], variance[0])
-        square = square.reshape(len(changes) - 1, m, len(rows)).sum(axis=2)
+        square = square.reshape(len(changes) - 1, m, size).sum(axis=2)
         change, touch = np.nonzero(square > MIN_SQUARE)
         parts.append((touch, change + len(owner), np.exp(-square[change, touch] / 8)))
         owner += [int(unit)] * (len(changes) - 1)

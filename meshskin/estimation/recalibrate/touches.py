@@ -66,6 +66,7 @@ class Errors:
 class Block:
     """The readings of a unit under a hypothesis: q pairs of a contact and a taxel."""
 
+    hypothesis: Hypothesis
     contact: np.ndarray
     taxel: np.ndarray
     """Taxel (q,) of the unit, counted in it."""
@@ -90,6 +91,42 @@ class Block:
     def read(self) -> np.ndarray:
         """Whether the pairs (q,) gave a reading."""
         return np.isfinite(self.level)
+
+    @property
+    def open_slopes(self) -> Array | None:
+        """Derivatives (q, d) of the readings in what the hypothesis leaves open, whitened; None:
+        nothing is."""
+        h = self.hypothesis
+        mine = (self.taxel == h.taxel) | (h.taxel < 0)
+        if h.shift_sigma:
+            return np.asarray(h.shift_sigma * self.slope * mine[:, None])
+        if h.gain_sigma:
+            return np.asarray(h.gain_sigma * (self.by_scale * mine)[:, None])
+        return None
+
+    def covariance(self, errors: Errors) -> Array:
+        """C (q, q) of the readings, silent ones and what the hypothesis leaves open included."""
+        a = self.slope
+        same_contact = self.contact[:, None] == self.contact
+        same_taxel = self.taxel[:, None] == self.taxel
+        out = (a @ a.T) * errors.tau**2 * same_contact
+        places = self.hypothesis.covariance[self.taxel]
+        out += np.einsum("qi,qij,pj->qp", a, places, a) * same_taxel
+        by = np.stack([self.by_modulus, self.by_scale], axis=1)
+        out += by @ np.array(errors.common) @ by.T
+        load = errors.force * (self.by_scale - self.by_modulus)  # the patch depends on F / E*
+        gain, offset = self.log_gain_sigma * self.by_scale, self.offset_sigma
+        out += np.outer(load, load) * same_contact
+        out += (np.outer(gain, gain) + np.outer(offset, offset)) * same_taxel
+        if (open_ := self.open_slopes) is not None:
+            out += open_ @ open_.T
+        out[np.diag_indices(len(a))] += errors.sigma**2 + (errors.rho * self.mean) ** 2 + self.bend
+        return np.asarray(out)
+
+    def log_likelihood(self, errors: Errors, threshold: float) -> float:
+        """ln of the likelihood of the readings, relative to that of silent taxels far away."""
+        c = self.covariance(errors)[None]
+        return float(log_likelihoods(self.level, self.mean[None], c, errors, threshold)[0])
 
 
 class Touches:
@@ -119,15 +156,11 @@ class Touches:
         self._patches: dict[float, Patches] = {}
 
     def blocks(
-        self,
-        rows: np.ndarray,
-        covariance: Array,
-        hypotheses: list[Hypothesis],
-        errors: Errors,
-        same_pairs: bool = False,
+        self, unit: int, hypotheses: list[Hypothesis], errors: Errors, same_pairs: bool = False
     ) -> list[Block]:
-        """The block of each hypothesis about the taxels `rows` (k,), whose places have the
-        covariances (k, 3, 3), m^2. same_pairs: whether all have the pairs of all of them."""
+        """The block of each hypothesis about a unit. same_pairs: whether all have the pairs of all
+        of them."""
+        rows = self.known.units[unit]
         points = np.stack([h.points for h in hypotheses])
         normals = np.stack([h.normals for h in hypotheses])
         reach = self.reach(errors.log_modulus) + MARGIN
@@ -141,25 +174,26 @@ class Touches:
         own = (near | read) & ~self.void[:, rows].T
         pairs = np.broadcast_to(own.any(axis=0), own.shape) if same_pairs else own
         which, taxel, contact = np.nonzero(pairs)
-        spread = np.trace(covariance, axis1=1, axis2=2)[taxel] / 2 + errors.tau**2
+        covariance = np.stack([h.covariance for h in hypotheses])
+        spread = np.trace(covariance, axis1=2, axis2=3)[which, taxel] / 2 + errors.tau**2
         spread += np.array([h.shift_sigma for h in hypotheses])[which] ** 2
         predicted = self._predict(
             offset[which, taxel, contact], contact, np.sqrt(spread).clip(max=MAX_STEP), errors
         )
         gain = np.exp(np.stack([h.log_gain for h in hypotheses]))[which, taxel]
         gain = np.where(own[which, taxel, contact], gain, 0.0)
-        unit, known = self.unit * self.data.unit, self.known
+        scale, known = self.unit * self.data.unit, self.known
         columns = (
             *self._read(gain, *predicted),
             known.log_gain_sigma[rows][taxel],
-            known.offset_sigma[rows][taxel] / unit,
+            known.offset_sigma[rows][taxel] / scale,
         )
-        columns[0][:] += known.offset[rows][taxel] / unit
+        columns[0][:] += known.offset[rows][taxel] / scale
         level = self.level[contact, rows[taxel]]
         ends = np.searchsorted(which, np.arange(len(hypotheses) + 1))
         return [
-            Block(contact[a:b], taxel[a:b], level[a:b], *(x[a:b] for x in columns))
-            for a, b in pairwise(ends)
+            Block(h, contact[a:b], taxel[a:b], level[a:b], *(x[a:b] for x in columns))
+            for h, (a, b) in zip(hypotheses, pairwise(ends), strict=True)
         ]
 
     def reach(self, log_modulus: float = 0.0) -> Array:
@@ -234,37 +268,6 @@ def _learned_levels(
     likelihood = Likelihood(skin.data, Readings.none())
     points = contacts.points[contact] + offset
     return likelihood.predict(contact, points, nuisance, contacts)[0] * skin.data.sigma
-
-
-def covariance_of(
-    block: Block, errors: Errors, places: Array, hypothesis: Hypothesis | None = None
-) -> Array:
-    """C (q, q) of the readings, silent ones included; places (k, 3, 3), m^2: covariances of the
-    taxels' places. With a hypothesis, what it leaves open is included."""
-    a, mean = block.slope, block.mean
-    same_contact = block.contact[:, None] == block.contact
-    same_taxel = block.taxel[:, None] == block.taxel
-    out = (a @ a.T) * errors.tau**2 * same_contact
-    out += np.einsum("qi,qij,pj->qp", a, places[block.taxel], a) * same_taxel
-    by = np.stack([block.by_modulus, block.by_scale], axis=1)
-    out += by @ np.array(errors.common) @ by.T
-    load = errors.force * (block.by_scale - block.by_modulus)  # the patch depends on F / E*
-    gain, offset = block.log_gain_sigma * block.by_scale, block.offset_sigma
-    out += np.outer(load, load) * same_contact
-    out += (np.outer(gain, gain) + np.outer(offset, offset)) * same_taxel
-    if (
-        hypothesis is not None
-        and (open_ := hypothesis.open_slopes(block.taxel, a, block.by_scale)) is not None
-    ):
-        out += open_ @ open_.T
-    out[np.diag_indices(len(a))] += errors.sigma**2 + (errors.rho * mean) ** 2 + block.bend
-    return np.asarray(out)
-
-
-def log_likelihood(block: Block, c: Array, errors: Errors, threshold: float) -> float:
-    """ln of the likelihood of the readings of a block with the covariance C (q, q), relative to
-    that of silent taxels far away."""
-    return float(log_likelihoods(block.level, block.mean[None], c[None], errors, threshold)[0])
 
 
 def log_likelihoods(level: Array, mean: Array, c: Array, errors: Errors, threshold: float) -> Array:

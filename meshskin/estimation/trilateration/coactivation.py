@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.arrays import Array, sums_by_group
-from ...core.errors import CalibrationError
 from .. import chart
 from ..data.measurements import Measurements
 from ..data.raw_readings import DENSE
@@ -30,6 +29,9 @@ FALSE_SPREAD = 1.3
 must be false: that of a sound, evenly pressed taxel is 0.7 (a uniform disc's RMS radius)."""
 PRIOR_SILENT = 3.0
 """Contacts without response added to each neighbourhood, so that few contacts count for little."""
+NEAR = 1.5
+"""Distance of a contact from the middle of a taxel's contacts, in reaches of a contact, beyond
+which it is distant."""
 CHUNK = 64
 """Taxels whose neighbourhoods are counted at once: bounds the memory."""
 FALSE_ALARM = 1e-4
@@ -116,11 +118,7 @@ def live_taxels(
     reasons = np.where(start.found & ~responds, NOISE, start.reasons)
     live = np.setdiff1d(np.flatnonzero(reasons == ""), stuck)
     if not len(live):
-        raise CalibrationError(
-            "no taxel is determined by the recording",
-            value=", ".join(sorted(set(map(str, reasons)))),
-            remedy="touch every taxel from at least three contacts that are not on a line",
-        )
+        raise trilaterate.undetermined(reasons)
     return live, reasons
 
 
@@ -128,7 +126,8 @@ def without_distant_readings(data: Measurements) -> Measurements:
     """The readings without distant ones of taxels that respond to contacts all over the body.
 
     Such a taxel is near the contact about which it responded most: noise above a low threshold
-    responds anywhere, but seldom and weakly.
+    responds anywhere, but seldom and weakly. Where contacts are sparse, that contact is millimetres
+    beside the taxel: the mean of the contacts about it, weighted by the readings, is closer.
     """
     n, where = len(data.ids), data.points[data.contact]
     count = np.maximum(data.counts, 1)[:, None]
@@ -140,7 +139,11 @@ def without_distant_readings(data: Measurements) -> Measurements:
         return data
     centre = np.full((n, 3), np.nan)
     centre[wide] = data.points[_densest_contact(data, wide, reach)]
-    distant = np.linalg.norm(where - centre[data.taxel], axis=1) > 1.5 * reach
+    near = np.linalg.norm(where - centre[data.taxel], axis=1) < NEAR * reach
+    level = np.where(near, data.pressure, 0.0)[:, None]
+    total = sums_by_group(np.column_stack([level * where, level]), data.taxel, n)
+    centre[wide] = total[wide, :3] / total[wide, 3:]
+    distant = np.linalg.norm(where - centre[data.taxel], axis=1) > NEAR * reach
     return data.select(~distant)  # NaN is not distant
 
 

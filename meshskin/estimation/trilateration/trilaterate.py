@@ -129,11 +129,11 @@ def radical_centres(
     """
     for _ in range(3):
         found = circles_at(charts.points)
-        y, _ = _linear(found, charts, equal=True)
+        y = _linear(found, charts, equal=True)
         far = np.linalg.norm(y, axis=1) > 2 * found.patch.max(initial=0.0)
         y[far] = 0.0
         charts = chart.charts_at(body, charts.at(y), charts.rotations)
-    residual, information = _normal_matrix(found, charts, np.zeros((found.count, 2)))
+    residual, _, information = _linearized(found, charts, np.zeros((found.count, 2)))
     fit = _result(found, charts, information, found.sum(residual**2), factors)
     reasons = np.where((fit.reasons == "") & far, NO_INTERSECTION, fit.reasons)
     points = np.where((reasons == "")[:, None], fit.points, np.nan)
@@ -143,11 +143,16 @@ def radical_centres(
 def require_any(fit: EstimatorResult) -> None:
     """Raise CalibrationError if no taxel is determined."""
     if not fit.found.any():
-        raise CalibrationError(
-            "no taxel is determined by the recording",
-            value=", ".join(sorted(set(map(str, fit.reasons)))),
-            remedy="touch every taxel from at least three contacts that are not on a line",
-        )
+        raise undetermined(fit.reasons)
+
+
+def undetermined(reasons: np.ndarray) -> CalibrationError:
+    """The error of a recording that determines no taxel, for the reasons (n,)."""
+    return CalibrationError(
+        "no taxel is determined by the recording",
+        value=", ".join(sorted(set(map(str, reasons)))),
+        remedy="touch every taxel from at least three contacts that are not on a line",
+    )
 
 
 def intersect(found: Circles, charts: Charts) -> tuple[Array, Array, Array]:
@@ -156,8 +161,8 @@ def intersect(found: Circles, charts: Charts) -> tuple[Array, Array, Array]:
     Returns coordinates (n, 2), m, information (n, 2, 2), 1/m^2, and chi2 (n,), as `solve`.
     """
     three = _three(found, charts)
-    y, _ = _linear(three, charts, equal=True)
-    residual, information = _normal_matrix(three, charts, y)
+    y = _linear(three, charts, equal=True)
+    residual, _, information = _linearized(three, charts, y)
     return y, information, three.sum(residual**2)
 
 
@@ -167,18 +172,17 @@ def solve(found: Circles, charts: Charts, iterations: int = 8) -> tuple[Array, A
 
     Starts from the linear solution; each step is limited to half a contact radius.
     """
-    y, _ = _linear(found, charts)
+    y = _linear(found, charts)
     y[np.linalg.norm(y, axis=1) > 3 * found.patch.max(initial=0.0)] = 0.0
     limit = 0.5 * float(np.median(found.patch)) if len(found.patch) else 0.0
     for _ in range(iterations):
-        residual, jacobian = _residuals(found, charts, y)
-        information = found.sum(jacobian[:, :, None] * jacobian[:, None, :])
+        residual, jacobian, information = _linearized(found, charts, y)
         step = -_solve2(information, found.sum(jacobian * residual[:, None]))
         size = np.linalg.norm(step, axis=1, keepdims=True)
         y = y + step * np.minimum(1.0, limit / np.maximum(size, 1e-300))
         if np.max(size, initial=0.0) < 1e-9:
             break
-    residual, information = _normal_matrix(found, charts, y)
+    residual, _, information = _linearized(found, charts, y)
     freedom = np.bincount(found.owner, minlength=found.count) - 2
     chi2 = found.sum(residual**2) / np.where(freedom > 0, freedom, np.nan)
     return y, information, chi2
@@ -236,25 +240,21 @@ def _near_centroids(data: Measurements) -> tuple[Measurements, Charts]:
     return data.select(keep), chart.charts_at(data.body, start)
 
 
-def _residuals(found: Circles, charts: Charts, y: Array) -> tuple[Array, Array]:
-    """Weighted residuals (k,) and their derivatives (k, 2) by the owner's coordinates."""
-    own = found.owner
+def _linearized(found: Circles, charts: Charts, y: Array) -> tuple[Array, Array, Array]:
+    """Weighted residuals (k,), their derivatives J (k, 2) by the owner's coordinates, and J^T J
+    (n, 2, 2) of each point, at the coordinates y (n, 2)."""
+    own, weights = found.owner, found.weights
     distance, gradient = found.distance(charts.at(y)[own] - found.centres)
-    jacobian = np.einsum("ki,kij->kj", gradient, charts.slope(y)[own])
-    return found.weights * (distance - found.radii), found.weights[:, None] * jacobian
+    jacobian = weights[:, None] * np.einsum("ki,kij->kj", gradient, charts.slope(y)[own])
+    square = found.sum(jacobian[:, :, None] * jacobian[:, None, :])
+    return weights * (distance - found.radii), jacobian, square
 
 
-def _normal_matrix(found: Circles, charts: Charts, y: Array) -> tuple[Array, Array]:
-    """Weighted residuals (k,), and J^T J (n, 2, 2) of each point at its coordinates y (n, 2)."""
-    residual, jacobian = _residuals(found, charts, y)
-    return residual, found.sum(jacobian[:, :, None] * jacobian[:, None, :])
-
-
-def _linear(found: Circles, charts: Charts, equal: bool = False) -> tuple[Array, Array]:
+def _linear(found: Circles, charts: Charts, equal: bool = False) -> Array:
     """Intersection (n, 2) of the circles in the tangent planes by differences of their equations.
 
     |y|^2 - 2 c . y + b = r^2 is linear in y once the weighted mean equation is subtracted from
-    each. Also the normal matrix (n, 2, 2). equal: without the weights of the distances.
+    each. equal: without the weights of the distances.
     """
     own = found.owner
     c, b = found.conic(found.centres - charts.points[own], charts.tangents[own])
@@ -266,7 +266,7 @@ def _linear(found: Circles, charts: Charts, equal: bool = False) -> tuple[Array,
     c = c - (found.sum(w[:, None] * c) / total[:, None])[own]
     b = b - (np.bincount(own, w * b, found.count) / total)[own]
     normal = found.sum(w[:, None, None] * c[:, :, None] * c[:, None, :])
-    return _solve2(normal, found.sum((w * b)[:, None] * c) / 2), normal
+    return _solve2(normal, found.sum((w * b)[:, None] * c) / 2)
 
 
 def _solve2(matrix: Array, vector: Array) -> Array:

@@ -20,7 +20,7 @@ from ..data.global_parameters import ELECTRONICS, LEARNED, MIN_KEPT, SIZES, decl
 from ..data.unit_checks import angles
 from ..joint.contact_correlations import MAX_CORRELATION
 from ..joint.departures import MIN_SCORE
-from . import verdict, weighted_means
+from . import second_places, verdict, weighted_means
 from .contact_errors import displacement, motion, offsets
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
 
@@ -73,9 +73,10 @@ def judge(
     data: Measurements,
     calibration: Calibration,
     departures: Mapping[str, float],
+    gathered: Measurements,
 ) -> Verdict:
-    """The verdict on the calibration of `data`, which were gathered from `recording`; departures:
-    as `EstimatorResult.departures`."""
+    """The verdict on the calibration of `data`, which were `gathered` from `recording`, with its
+    distant readings; departures: as `EstimatorResult.departures`."""
     checks: tuple[Callable[[], list[Finding]], ...] = (
         lambda: _fit(data, calibration),
         lambda: _departures(data, calibration, departures),
@@ -87,6 +88,7 @@ def judge(
         lambda: _surface(data, calibration),
         lambda: _normals(recording, data),
         lambda: weighted_means.findings(data, calibration),
+        lambda: second_places.findings(gathered, calibration),
         lambda: verdict.forces(recording, calibration),
         lambda: verdict.force_offset(data, calibration),
         lambda: verdict.alike(calibration),

@@ -7,7 +7,7 @@ the robot it is the other way round.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +16,8 @@ from ...core.se3 import inverse, orthonormal_basis, quaternion, transform, trans
 from .. import scene3d
 from ..plane import tangent_plane
 from . import marks
-
-if TYPE_CHECKING:
-    from .replay import Snapshot
-    from .stage import Carrier, Stage
+from .replay import Snapshot
+from .stage import Carrier, Stage
 
 SKIN, ROBOT = VIEWS = ("skin", "robot")
 """What is at rest in the picture."""

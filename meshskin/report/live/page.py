@@ -6,16 +6,14 @@ import contextlib
 import io
 import socket
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...core.errors import ConfigError
+from ...estimation.calibration import Calibration
 from .drawing import Drawing
 from .panel import Panel
-
-if TYPE_CHECKING:
-    from ...estimation.calibration import Calibration
-    from .replay import Snapshot
-    from .stage import Stage
+from .replay import Snapshot
+from .stage import Stage
 
 
 class LivePage(contextlib.AbstractContextManager["LivePage"]):

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import html
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from ...estimation.calibration import Calibration
 from ...estimation.data.global_parameters import natural_units
 from ...estimation.online.status import DONE, KEEP_GOING
 from ...estimation.uncertainty.verdict import PASS
 from .. import theme
 from ..plane import MM
 from . import marks
-from .drawing import ROBOT, SKIN
-
-if TYPE_CHECKING:
-    from ...estimation.calibration import Calibration
-    from .drawing import Drawing
-    from .replay import Snapshot
-    from .stage import Stage
+from .drawing import ROBOT, SKIN, Drawing
+from .replay import Snapshot
+from .stage import Stage
 
 SPEEDS = (0.25, 32.0)
 """Lowest and highest speed, as multiples of real time. Chosen: single contacts can be followed, and

@@ -5,19 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core.arrays import Array
-from ...core.errors import RecordingError
-from ...estimation.online.frames import ContactFrames
+from ...estimation.calibration import Calibration
+from ...estimation.online.frames import RecordedFrames
+from ...estimation.online.online_calibration import OnlineCalibration
+from ...estimation.online.status import OnlineStatus
+from ...recording.recording import Recording
 
 if TYPE_CHECKING:
-    from ...estimation.calibration import Calibration
-    from ...estimation.online.online_calibration import OnlineCalibration
-    from ...estimation.online.status import OnlineStatus
-    from ...recording.recording import Recording
+    from .panel import Panel
 
 REFRESH = 1.0 / 15.0
 """Time between two pictures, s: motion looks continuous, and a core has time to calibrate."""
@@ -70,54 +70,6 @@ def _in_body_frame(found: OnlineCalibration | Calibration) -> Array:
     return covariances
 
 
-class Controls(Protocol):
-    """What the viewer chooses while it runs."""
-
-    @property
-    def speed(self) -> float:
-        """Seconds of the recording per second."""
-
-    @property
-    def paused(self) -> bool:
-        """Whether the replay is held."""
-
-
-class Frames:
-    """The contacts of a recording, with dense readings a few at a time."""
-
-    def __init__(self, recording: Recording, ids: np.ndarray, errors: Array | None = None) -> None:
-        """ids (n,): of the taxels; errors (m, 3): of the contacts, where known. Raises
-        RecordingError if a taxel that was read is not among them."""
-        self._errors = errors
-        unknown = np.setdiff1d(recording.reading_taxel, ids)
-        if len(unknown):
-            raise RecordingError(
-                "the recording has taxels that the belief does not know",
-                value=f"ids {unknown[:5].tolist()}",
-                remedy="use the skin that was recorded",
-            )
-        order, by_id = np.argsort(recording.reading_contact, kind="stable"), np.argsort(ids)
-        self._contact = recording.reading_contact[order]
-        self._taxel = by_id[np.searchsorted(ids, recording.reading_taxel[order], sorter=by_id)]
-        self._pressure = recording.pressure[order]
-        self._count = len(ids)
-        self._recording = recording
-
-    def part(self, begin: int, end: int) -> tuple[ContactFrames, Array]:
-        """Contacts `begin` to `end`, and their readings (end - begin, n), Pa, 0 where silent."""
-        first, last = np.searchsorted(self._contact, (begin, end))
-        readings = np.zeros((end - begin, self._count))
-        rows = slice(first, last)
-        readings[self._contact[rows] - begin, self._taxel[rows]] = self._pressure[rows]
-        given, mine = self._recording, slice(begin, end)
-        headings = None if given.headings is None else given.headings[mine]
-        errors = None if self._errors is None else self._errors[mine]
-        contacts = ContactFrames(
-            given.points[mine], given.force[mine], headings, given.time[mine], errors
-        )
-        return contacts, readings
-
-
 def replay_times(recording: Recording) -> Array:
     """Times (m,), s, at which the contacts are shown at speed 1: without long pauses, from 0."""
     steps = np.diff(recording.time, prepend=recording.time[:1])
@@ -127,18 +79,18 @@ def replay_times(recording: Recording) -> Array:
 def replay(
     recording: Recording,
     online: OnlineCalibration,
-    controls: Controls,
+    controls: Panel,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
     errors: Array | None = None,
 ) -> Iterator[Snapshot]:
-    """Feed the contacts to `online` at the controls' speed; yield a snapshot after each update.
+    """Feed the contacts to `online` at the speed of the panel; yield a snapshot after each update.
 
     Every REFRESH the contacts that are due, at most MOST_FRAMES, go in as one update. After
     the last one, what waits for being estimated anew is. errors (m, 3): of the contacts, where
     known.
     """
-    frames = Frames(recording, online.ids, errors)
+    frames = RecordedFrames(recording, online.ids, errors)
     due, done, now = replay_times(recording), 0, 0.0
     before = clock()
     while done < len(due):

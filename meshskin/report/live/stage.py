@@ -6,13 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...contact import AUTO, LEARNED, ContactModel
-from ...core.arrays import Array
+from ...core.arrays import Array, nearest_rows
 from ...core.errors import ContactError
 from ...core.se3 import (
     inverse,
@@ -23,15 +21,13 @@ from ...core.se3 import (
     transform_points,
 )
 from ...estimation.data.resolve_belief import resolve_belief
+from ...geometry.mesh.triangles import Triangles
+from ...recording.recording import Recording
+from ...recording.skin_log import SkinLog
 from ...robot.link_meshes import MIN_ROD, LinkPoses, link_meshes, rod
 from ...robot.robot import Robot
-
-if TYPE_CHECKING:
-    from ...geometry.mesh.triangles import Triangles
-    from ...recording.recording import Recording
-    from ...recording.skin_log import SkinLog
-    from ...scene.belief import Belief
-    from ...scene.scene import Scene
+from ...scene.belief import Belief
+from ...scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -86,7 +82,7 @@ class Stage:
         if recording.motion is None:  # an indenter that is carried to a body at rest
             return stage
         motion = recording.motion
-        rows = _nearest(np.asarray(motion.column("time")), recording.time)
+        rows = nearest_rows(np.asarray(motion.column("time")), recording.time)
         moving = [name for name in motion.column_names if name[:1] == "q" and name[1:].isdigit()]
         free = ("x", "y", "z", "qw", "qx", "qy", "qz")
         q = np.stack([np.asarray(motion.column(k))[rows] for k in moving or free], axis=1)
@@ -104,7 +100,7 @@ class Stage:
         cls, recording: Recording, belief: Belief, robot: Robot, link: str, log: SkinLog
     ) -> Stage:
         """A robot's log with joint angles: the robot, its body on `link`."""
-        angles = log.joint_angles[_nearest(log.time, recording.time)]
+        angles = log.joint_angles[nearest_rows(log.time, recording.time)]
         column = {name: k for k, name in enumerate(log.joint_names)}
         chain = robot.chain(robot.root, link)
         body = chain.poses(angles[:, [column[name] for name in chain.joint_names]])
@@ -136,10 +132,6 @@ class Stage:
             semi_axes=semi_axes,
             indenter=transform(shortest_rotation([0.0, 0.0, 1.0], axis), centre),
         )
-
-    def world_in_body(self, row: int) -> Array:
-        """T_body_w (4, 4) at contact `row`; the identity where the motion is not known."""
-        return np.eye(4) if self.carrier is None else inverse(self.carrier.body[row])
 
 
 def _drawable(belief: Belief, recording: Recording) -> Belief:
@@ -181,10 +173,3 @@ def _mounted(carrier: Carrier, scene: Scene) -> Carrier:
         {**carrier.links, "mount": rod(end)},
         lambda row: {**carrier.link_poses(row), "mount": carrier.body[row] @ tip},
     )
-
-
-def _nearest(times: Array, wanted: Array) -> NDArray[np.intp]:
-    """Row (m,) of increasing `times` (n,) nearest to each of `wanted` (m,)."""
-    after = np.clip(np.searchsorted(times, wanted), 1, max(len(times) - 1, 1))
-    before = wanted - times[after - 1] < times[np.minimum(after, len(times) - 1)] - wanted
-    return np.where(before, after - 1, np.minimum(after, len(times) - 1))

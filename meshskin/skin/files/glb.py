@@ -11,7 +11,6 @@ import struct
 
 import numpy as np
 
-from ...core import se3
 from ...core.errors import SkinError
 from .table import DISC_RADIUS, SkinRows, SkinTable, frame_mesh
 
@@ -51,15 +50,7 @@ def read(data: bytes, name: str) -> SkinTable:
     if not nodes:
         raise SkinError(f"{name} has no skin", limit="nodes taxel_<id>")
     poses = np.array([scene.graph.get(node)[0] for _, node in nodes], dtype=float)
-    extras = scene.metadata
-    sigma = extras.get(_SIGMA)
-    return SkinTable(
-        "glb",
-        np.array([taxel for taxel, _ in nodes], dtype=np.int64),
-        poses[:, :3, 3],
-        poses[:, :3, 2],
-        se3.quaternion(poses[:, :3, :3]),
-        float(extras.get(_RADIUS, DISC_RADIUS)),
-        sigmas=sigma and np.array([float(sigma.get(str(taxel), "nan")) for taxel, _ in nodes]),
-        frame=extras.get(_FRAME),
-    )
+    extras, ids = scene.metadata, [taxel for taxel, _ in nodes]
+    sigma, radius = extras.get(_SIGMA), float(extras.get(_RADIUS, DISC_RADIUS))
+    sigmas = sigma and np.array([float(sigma.get(str(taxel), "nan")) for taxel in ids])
+    return SkinTable.of_poses("glb", ids, poses, radius, sigmas, extras.get(_FRAME))

@@ -10,7 +10,6 @@ Source: mujoco.readthedocs.io, XML reference, body/site and sensor/touch.
 
 from __future__ import annotations
 
-import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -22,7 +21,7 @@ from .table import (
     SkinRows,
     SkinTable,
     chosen_part,
-    normals_of,
+    named_parts,
     number_text,
     parse_numbers,
     parse_sigmas,
@@ -31,7 +30,6 @@ from .table import (
 HALF_HEIGHT = 1e-3
 """Half the height of a site, m: contact points lie up to the indentation, tenths of a millimetre
 here, below the surface."""
-_NAME = re.compile(r"(.+)_skin_(\d+)")
 
 
 def write(rows: SkinRows) -> str:
@@ -60,11 +58,7 @@ def read(model: ET.Element, name: str, part: str | None = None) -> SkinTable:
 
     Raises SkinError, also for sites that are not placed by `pos` and `quat`.
     """
-    found: dict[str, list[tuple[int, ET.Element]]] = {}
-    for site in model.iter("site"):
-        match = _NAME.fullmatch(site.get("name", ""))
-        if match:
-            found.setdefault(match[1], []).append((int(match[2]), site))
+    found = named_parts(model.iter("site"))
     if not found:
         raise SkinError(f"{name} has no skin", limit="sites <part>_skin_<id>")
     part = chosen_part(part, found, name)
@@ -79,14 +73,6 @@ def read(model: ET.Element, name: str, part: str | None = None) -> SkinTable:
         places.append(np.concatenate([pos, np.roll(quat / np.linalg.norm(quat), -1)]))
         size = site.get("size", repr(DISC_RADIUS)).split()
         radius = float(parse_numbers(size[:1], 1, where)[0])
-    table = np.array(places)
-    return SkinTable(
-        "mjcf",
-        np.array([number for number, _ in found[part]], dtype=np.int64),
-        table[:, :3],
-        normals_of(table[:, 3:]),
-        table[:, 3:],
-        radius,
-        sigmas=parse_sigmas([site.get("user") for _, site in found[part]], name),
-        frame=part,
-    )
+    ids = [number for number, _ in found[part]]
+    sigmas = parse_sigmas([site.get("user") for _, site in found[part]], name)
+    return SkinTable.of_quaternions("mjcf", ids, np.array(places), radius, sigmas, part)

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from ...core import se3
 from ...core.errors import SkinError
 from .table import DISC_RADIUS, SkinRows, SkinTable
 
@@ -56,13 +55,6 @@ def read(data: bytes, name: str) -> SkinTable:
     sigmas = found.get("sigma_m")
     if sigmas is not None and sigmas.shape != (len(poses),):
         raise SkinError(f"{name}: sigma_m", value=f"shape {sigmas.shape}", limit=f"({len(poses)},)")
-    return SkinTable(
-        "npz",
-        ids.astype(np.int64),
-        np.asarray(poses[:, :, 3], dtype=float),
-        np.asarray(poses[:, :, 2], dtype=float),
-        se3.quaternion(poses[:, :, :3]),
-        float(found.get("disc_radius_m", DISC_RADIUS)),
-        sigmas=sigmas,
-        frame=str(found["frame"]) if "frame" in found else None,
-    )
+    radius = float(found.get("disc_radius_m", DISC_RADIUS))
+    frame = str(found["frame"]) if "frame" in found else None
+    return SkinTable.of_poses("npz", ids, np.asarray(poses, dtype=float), radius, sigmas, frame)

@@ -49,8 +49,6 @@ def write(skin: SkinRows) -> str:
 
 def read(text: str, name: str) -> SkinTable:
     """The taxels of a file made by `write`. Raises SkinError for any other PLY file."""
-    from scipy.spatial.transform import Rotation
-
     head, _, body = text.partition("end_header")
     lines = head.splitlines()
     if "format ascii 1.0" not in lines or "\nelement taxel " not in head:
@@ -69,12 +67,7 @@ def read(text: str, name: str) -> SkinTable:
     width = 1 + len(NUMBERS) + known
     if rows.shape != (count[0], width):
         raise SkinError(f"{name}: rows of taxels", value=rows.shape, limit=(count[0], width))
-    quaternions = rows[:, 4:8]
-    normals = np.zeros((len(rows), 3))
-    valid = np.linalg.norm(quaternions, axis=1) > 0.0  # False for NaN
-    normals[valid] = Rotation.from_quat(quaternions[valid]).as_matrix()[:, :, 2]
-    ids = rows[:, 0].astype(np.int64)
-    return SkinTable(
-        "ply", ids, rows[:, 1:4], normals, quaternions, (radius or [DISC_RADIUS])[0],
-        sigmas=rows[:, 8] if known else None, frame=next(iter(frame), None),
+    return SkinTable.of_quaternions(
+        "ply", rows[:, 0], rows[:, 1:8], (radius or [DISC_RADIUS])[0],
+        rows[:, 8] if known else None, next(iter(frame), None),
     )  # fmt: skip

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...core import se3
 from ...core.errors import SkinError
-from .table import DISC_RADIUS, SkinRows, SkinTable, normals_of, parse_sigmas
+from .table import DISC_RADIUS, SkinRows, SkinTable, parse_sigmas
 
 HEAD = "transforms:"
 _RADIUS, _SIGMA = "# disc_radius_m: ", " # sigma_m: "
@@ -68,9 +68,5 @@ def read(text: str, name: str) -> SkinTable:
         frame = message.get("header", {}).get("frame_id", frame)
     if not ids:
         raise SkinError(f"{name} holds no transforms", limit="lines `- {...}`")
-    table, numbers = np.array(places), np.array(ids, dtype=np.int64)
-    normals = normals_of(table[:, 3:])
-    return SkinTable(
-        "ros", numbers, table[:, :3], normals, table[:, 3:], radius,
-        sigmas=parse_sigmas(sigmas, name), frame=frame,
-    )  # fmt: skip
+    known = parse_sigmas(sigmas, name)
+    return SkinTable.of_quaternions("ros", ids, np.array(places), radius, known, frame)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...core import se3
 from ...core.arrays import Array, Index
@@ -52,6 +54,33 @@ class SkinTable:
     frame: str | None = None
     """name of the frame of the positions, where the file names it"""
 
+    @classmethod
+    def of_poses(
+        cls, format: str, ids: ArrayLike, poses: Array, disc_radius: float,
+        sigmas: Array | None, frame: str | None,
+    ) -> SkinTable:  # fmt: skip
+        """The rows of a file with frames: poses (n, 3 or 4, 4)."""
+        quaternions = se3.quaternion(poses[:, :3, :3])
+        columns = np.array(ids, dtype=np.int64), poses[:, :3, 3], poses[:, :3, 2], quaternions
+        return cls(format, *columns, disc_radius, sigmas=sigmas, frame=frame)
+
+    @classmethod
+    def of_quaternions(
+        cls, format: str, ids: ArrayLike, rows: Array, disc_radius: float,
+        sigmas: Array | None, frame: str | None,
+    ) -> SkinTable:  # fmt: skip
+        """The rows (n, 7) of a file with positions, m, and quaternions, xyzw.
+
+        A quaternion without a length has the normal zero.
+        """
+        from scipy.spatial.transform import Rotation
+
+        quaternions, normals = rows[:, 3:], np.zeros((len(rows), 3))
+        valid = np.linalg.norm(quaternions, axis=1) > 0.0  # False for NaN
+        normals[valid] = Rotation.from_quat(quaternions[valid]).as_matrix()[:, :, 2]
+        columns = np.array(ids, dtype=np.int64), rows[:, :3], normals, quaternions
+        return cls(format, *columns, disc_radius, sigmas=sigmas, frame=frame)
+
     def is_thermal(self) -> NDArray[np.bool_]:
         """Which rows (n,) are thermal pads: slots 6 and 10 of a triangular module."""
         if self.slots is None:
@@ -84,12 +113,10 @@ class SkinTable:
 
     def take(self, rows: NDArray[np.bool_] | Index) -> SkinTable:
         """Some rows, without the information on slots."""
-        quaternions = None if self.quaternions is None else self.quaternions[rows]
-        columns = (self.ids[rows], self.positions[rows], self.normals[rows])
-        sigmas = None if self.sigmas is None else self.sigmas[rows]
-        return SkinTable(
-            self.format, *columns, quaternions, self.disc_radius, sigmas=sigmas, frame=self.frame
-        )
+        names = ("ids", "positions", "normals", "quaternions", "sigmas")
+        columns = {name: getattr(self, name) for name in names}
+        kept: dict[str, Any] = {k: None if c is None else c[rows] for k, c in columns.items()}
+        return replace(self, **kept, slots=None, representative=None)
 
     def poses(self, name: str) -> Array:
         """Poses (n, 4, 4) in the body frame; rotations are NaN where the file has no normal.
@@ -189,6 +216,18 @@ def pose_of(element: ET.Element | None, where: str) -> Array:
     return se3.transform(se3.from_rpy(rpy), xyz)
 
 
+def named_parts(
+    elements: Iterable[ET.Element], suffix: str = ""
+) -> dict[str, list[tuple[int, ET.Element]]]:
+    """The ids and elements of the names `<part>_skin_<id>`, by part; suffix: expression of what may
+    follow in a name."""
+    found: dict[str, list[tuple[int, ET.Element]]] = {}
+    for element in elements:
+        if match := re.fullmatch(rf"(.+)_skin_(\d+){suffix}", element.get("name", "")):
+            found.setdefault(match[1], []).append((int(match[2]), element))
+    return found
+
+
 def chosen_part(part: str | None, parts: Mapping[str, object], name: str) -> str:
     """`part`, or the only one of the parts of a file. Raises SkinError."""
     if part is None and len(parts) == 1:
@@ -201,13 +240,6 @@ def chosen_part(part: str | None, parts: Mapping[str, object], name: str) -> str
             remedy="choose one with part= (--part)",
         )
     return part
-
-
-def normals_of(quaternions: Array) -> Array:
-    """The z axes (n, 3) of frames with quaternions (n, 4), xyzw."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_quat(quaternions).as_matrix()[:, :, 2])
 
 
 def frame_mesh(disc_radius: float) -> tuple[Array, Index, NDArray[np.uint8]]:

@@ -8,7 +8,6 @@ m, as a comment in its joint.
 
 from __future__ import annotations
 
-import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -20,13 +19,13 @@ from .table import (
     SkinRows,
     SkinTable,
     chosen_part,
+    named_parts,
     number_text,
     parse_numbers,
     parse_sigmas,
     pose_of,
 )
 
-_NAME = re.compile(r"(.+)_skin_(\d+)(?:_fixed_joint|_joint)?")
 _SIGMA = " sigma_m: "
 THICKNESS = 1e-3
 """Thickness of a disc for viewers, m."""
@@ -65,9 +64,7 @@ def write(rows: SkinRows) -> str:
         frame = f"{part}_skin_{taxel}"
         link = ET.SubElement(robot, "link", name=frame)
         shape = ET.SubElement(ET.SubElement(link, "visual"), "geometry")
-        ET.SubElement(
-            shape, "cylinder", radius=repr(float(rows.disc_radius)), length=repr(THICKNESS)
-        )
+        add_disc(shape, rows.disc_radius)
         joint = ET.SubElement(robot, "joint", name=f"{frame}_fixed_joint", type="fixed")
         ET.SubElement(
             joint, "origin", xyz=number_text(pose[:3, 3]), rpy=number_text(se3.to_rpy(pose[:3, :3]))
@@ -75,42 +72,36 @@ def write(rows: SkinRows) -> str:
         ET.SubElement(joint, "parent", link=part)
         ET.SubElement(joint, "child", link=frame)
         add_sigma(joint, sigma)
-    ET.indent(robot)
-    return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
+    return document(robot)
 
 
 def read(robot: ET.Element, name: str, part: str | None = None) -> SkinTable:
     """The frames of one part (None: the only one) in the frame of its link. Raises SkinError."""
-    frames: dict[str, list[tuple[int, ET.Element]]] = {}
-    for joint in robot.findall("joint"):
-        match = _NAME.fullmatch(joint.get("name", ""))
-        if match and joint.get("type") == "fixed":
-            frames.setdefault(match[1], []).append((int(match[2]), joint))
+    frames = named_parts(robot.findall("joint[@type='fixed']"), "(?:_fixed_joint|_joint)?")
     if not frames:
         raise SkinError(f"{name} has no skin", limit="fixed joints <part>_skin_<id>")
     part = chosen_part(part, frames, name)
-    poses = np.array(
-        [
-            pose_of(joint.find("origin"), f"{name}: joint {joint.get('name')!r}")
-            for _, joint in frames[part]
-        ]
-    )
-    radius = robot.find(f"link[@name='{part}_skin_{frames[part][0][0]}']/visual/geometry/cylinder")
-    return SkinTable(
-        "urdf",
-        np.array([number for number, _ in frames[part]], dtype=np.int64),
-        poses[:, :3, 3],
-        poses[:, :3, 2],
-        se3.quaternion(poses[:, :3, :3]),
-        DISC_RADIUS
-        if radius is None
-        else float(parse_numbers([radius.get("radius", "")], 1, name)[0]),
-        sigmas=parse_sigmas([sigma_of(joint) for _, joint in frames[part]], name),
-        frame=_parent(frames[part][0][1]),
-    )
+    ids, joints = zip(*frames[part], strict=True)
+    poses = [pose_of(j.find("origin"), f"{name}: joint {j.get('name')!r}") for j in joints]
+    disc = robot.find(f"link[@name='{part}_skin_{ids[0]}']/visual/geometry/cylinder")
+    sigmas, parent = parse_sigmas([sigma_of(j) for j in joints], name), joints[0].find("parent")
+    frame = None if parent is None else parent.get("link")
+    return SkinTable.of_poses("urdf", ids, np.array(poses), radius_of(disc, name), sigmas, frame)
 
 
-def _parent(joint: ET.Element) -> str | None:
-    """The link that a joint starts from."""
-    link = joint.find("parent")
-    return None if link is None else link.get("link")
+def radius_of(disc: ET.Element | None, where: str) -> float:
+    """The radius, m, of a taxel's disc, or the default without one. Raises SkinError."""
+    if disc is None:
+        return DISC_RADIUS
+    return float(parse_numbers([disc.get("radius", "")], 1, where)[0])
+
+
+def add_disc(shape: ET.Element, radius: float) -> None:
+    """Give a geometry the disc of a taxel, for viewers."""
+    ET.SubElement(shape, "cylinder", radius=repr(float(radius)), length=repr(THICKNESS))
+
+
+def document(robot: ET.Element) -> str:
+    """The text of a URDF file."""
+    ET.indent(robot)
+    return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"

@@ -25,7 +25,7 @@ from .table import (
     parse_sigmas,
     pose_of,
 )
-from .urdf import THICKNESS, add_sigma, base, sigma_of
+from .urdf import add_disc, add_sigma, base, document, radius_of, sigma_of
 
 UPDATE_RATE = 100
 """Readings per second, which the format asks for and meshskin does not know: the one of the
@@ -44,12 +44,9 @@ def write(rows: SkinRows) -> str:
         place = {"xyz": number_text(pose[:3, 3]), "rpy": number_text(se3.to_rpy(pose[:3, :3]))}
         element = ET.SubElement(tactile, "taxel", {"idx": str(taxel), **place})
         shape = ET.SubElement(element, "geometry")
-        ET.SubElement(
-            shape, "cylinder", radius=repr(float(rows.disc_radius)), length=repr(THICKNESS)
-        )
+        add_disc(shape, rows.disc_radius)
         add_sigma(element, sigma)
-    ET.indent(robot)
-    return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
+    return document(robot)
 
 
 def sensors(robot: ET.Element) -> dict[str, ET.Element]:
@@ -77,17 +74,7 @@ def read(robot: ET.Element, name: str, part: str | None = None) -> SkinTable:
         ids.append(int(index))
         sigmas.append(sigma_of(taxel))
         poses.append(mount @ pose_of(taxel, where))
-        disc = taxel.find("geometry/cylinder")
-        if disc is not None:
-            radius = float(parse_numbers([disc.get("radius", "")], 1, where)[0])
-    placed = np.array(poses)
-    return SkinTable(
-        "urdf_tactile",
-        np.array(ids, dtype=np.int64),
-        placed[:, :3, 3],
-        placed[:, :3, 2],
-        se3.quaternion(placed[:, :3, :3]),
-        radius,
-        sigmas=parse_sigmas(sigmas, name),
-        frame=part,
-    )
+        if (disc := taxel.find("geometry/cylinder")) is not None:
+            radius = radius_of(disc, where)
+    known = parse_sigmas(sigmas, name)
+    return SkinTable.of_poses("urdf_tactile", ids, np.array(poses), radius, known, part)

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from ...core.arrays import median_spacing, neighbour_distances
 from .. import slots
 from ..files.table import SkinTable
 from .defect import (
     SAME_POSITION,
-    Array,
     Defect,
     defect,
     distinct,
@@ -136,7 +136,7 @@ def scale(table: SkinTable) -> Iterator[Defect]:
     points = distinct(located(table)).positions
     if len(points) < 2:
         return
-    near, extent = float(np.median(_nearest(points))), float(np.ptp(points, axis=0).max())
+    near, extent = median_spacing(points), float(np.ptp(points, axis=0).max())
     what = f"taxels are {near:.3g} m apart, the skin {extent:.3g} m wide"
     if near > MAX_SPACING or extent > MAX_EXTENT:
         yield defect(
@@ -154,7 +154,7 @@ def isolated(table: SkinTable) -> Iterator[Defect]:
     rows = distinct(located(table))
     if len(rows.ids) < 4:
         return
-    near = _nearest(rows.positions)
+    near = neighbour_distances(rows.positions)
     usual = float(np.median(near))
     far = near > ISOLATED * usual
     if far.any():
@@ -172,8 +172,3 @@ def isolated(table: SkinTable) -> Iterator[Defect]:
         radius = f"{1e3 * MODULE_RADIUS:g} mm"
         what = f"{len(wide)} taxels lie more than {radius} from the centre of their module"
         yield defect(table, "off module", what, "check their positions and ids", rows.ids[wide])
-
-
-def _nearest(points: Array) -> Array:
-    """Distance (n,) of each point to the nearest other, m."""
-    return np.asarray(KDTree(points).query(points, k=2)[0][:, 1])

@@ -21,13 +21,14 @@ import numpy as np
 
 from ...core.arguments import check_type
 from ...core.arrays import Array
-from ...core.errors import ConfigError
+from ...core.errors import ConfigError, ContactError, ReachError, SimulationError
 from ...core.progress import Progress, Stage
 from ...effects import Effect
 from ...exploration.plan import plan_exploration
+from ...scene.file import BUDGET
 from ...scene.scene import Scene
 from .budget_report import BudgetReport, Check, Entry
-from .knobs import Knob, mesh_bodies, scene_knobs, time_steps
+from .knobs import Knob, Level, mesh_bodies, scene_knobs, time_steps
 from .replay import Holdout, Replay
 from .selection import (
     NEGLIGIBLE,
@@ -40,13 +41,8 @@ from .selection import (
     screened,
 )
 from .setting import with_changes
-from .shifts import EffectShifts, measured_knob, tolerance_knob
+from .shifts import EffectShifts, Solution, against_finest, tolerance_knob
 
-__all__ = ["DEFAULT", "BudgetReport", "Check", "Entry", "budget"]
-
-DEFAULT = 0.2e-3
-"""Taxel error, m, that may be left out if neither call nor scene gives one: a tenth of the radius
-of a usual taxel (2 mm)."""
 MARGIN = 0.7
 """Part of the budget that the estimate may take: the errors over other contacts and seeds differ
 from it (`python studies/budget.py`: by less than a factor of 2)."""
@@ -75,7 +71,7 @@ def budget(
     """
     check_type(Scene, scene, "the scene of a budget")
     if taxel_error is None:
-        taxel_error = DEFAULT if scene.budget is None else scene.budget
+        taxel_error = BUDGET if scene.budget is None else scene.budget
     check_type(Real, taxel_error, "an error budget")
     if not (math.isfinite(taxel_error) and taxel_error > 0):
         raise ConfigError(
@@ -125,10 +121,7 @@ class BudgetTrial:
         )
         total = sum(len(knob.levels) for knob in knobs) + len(effects) + 1
         stage = Stage(progress, "budget", total)
-        self.knobs = tuple(
-            measured_knob(knob, replay, self._changed, self.path, self.halves, self.belief, stage)
-            for knob in knobs
-        )
+        self.knobs = tuple(self._measured(knob, replay, stage) for knob in knobs)
         finest = {k: v for knob in self.knobs for k, v in knob.levels[-1].changes.items()}
         self.everything = self._changed(finest).with_(effects=effects, budget=None)
         """The scene with all effects, at the finest levels."""
@@ -155,16 +148,43 @@ class BudgetTrial:
         scene = with_changes(self.scene, changes)
         return scene.with_(body=self._bodies[changes["faces"]]) if "faces" in changes else scene
 
+    def _measured(self, knob: Knob, replay: Replay, stage: Stage) -> Knob:
+        """A knob with the shifts of its levels, measured along the path without effects.
+
+        replay: of the scene's own level; stage: called after each level. Levels that cannot be run
+        (a time step may be too long for the touch), or under which the contact model does not hold,
+        are left out.
+        """
+        solution, levels = Solution.true(replay.scene), list[Level]()
+        for k, level in enumerate(knob.levels):
+            own, scene = k == knob.declared, self._changed(level.changes)
+            try:
+                run = replay if own else Replay.of(scene, self.path)
+            except (SimulationError, ReachError, ContactError):
+                continue
+            finally:
+                stage.step()
+            recording = run.recording((), 0, self.halves)
+            try:
+                move, _ = solution.step(recording, replace(self.belief, body=scene.body))
+            except ContactError:
+                if own:
+                    raise
+                continue
+            if own:
+                declared = len(levels)
+            levels.append(replace(level, shift=move[self.halves.taxels[0]]))
+        return against_finest(knob.name, levels, declared)
+
     def _effect_item(self, effect: Effect) -> Item:
         name = effect.name
         dependants = {
             e.name: [o.name for o in self.effects if e.name in o.requires] for e in self.effects
         }
-        omission = self.shifts.without(closure([name], dependants))
-        self.changed[name] = omission.changed
-        self.seconds[name] += omission.fewer * self.tolerance.levels[0].seconds
+        shift, self.changed[name], fewer = self.shifts.without(closure([name], dependants))
+        self.seconds[name] += fewer * self.tolerance.levels[0].seconds
         required = tuple(n for n in effect.requires if n not in self.screened)
-        return Item(name, omission.shift, self.seconds[name], required)
+        return Item(name, shift, self.seconds[name], required)
 
     def forced(self, limit: float) -> dict[str, str]:
         """The items that are on in any case, with the reason."""
@@ -189,7 +209,7 @@ class BudgetTrial:
         on = set(on)
         off = {e.name for e in self.effects if e.name not in on}
         steps = [item for item in self.items if ":" in item.name]
-        return self.shifts.without(off).shift + left_out(on, steps)
+        return self.shifts.without(off)[0] + left_out(on, steps)
 
     def scene_with(self, on: Iterable[str]) -> Scene:
         """The scene with these items on."""

@@ -38,12 +38,20 @@ class Entry:
     why: str
     """Reason of the decision."""
 
+    @property
+    def label(self) -> str:
+        """The name for people."""
+        return self.name.replace("_", " ")
+
+    @property
+    def shift_mm(self) -> float:
+        """The shift in mm."""
+        return 1e3 * self.shift
+
     def row(self) -> tuple[str, str, str, str, str]:
         """Name, setting, mm, seconds and reason as text."""
-        return (
-            self.name.replace("_", " "), self.setting, f"{1e3 * self.shift:.4f}",
-            f"{round(self.seconds, 3) + 0.0:.3f}", self.why,
-        )  # fmt: skip
+        seconds = f"{round(self.seconds, 3) + 0.0:.3f}"
+        return self.label, self.setting, f"{self.shift_mm:.4f}", seconds, self.why
 
 
 @dataclass(frozen=True)
@@ -123,17 +131,16 @@ class BudgetReport(Card, Tabular):
 
     def summary(self) -> tuple[str, ...]:
         """Estimate, truth and speed in sentences."""
-        check, mm = self.check, 1e3
+        check = self.check
         ratio = self.estimate / check.shift if check.shift > 0 else float("inf")
         lost = f" {check.lost} taxels were found with everything on only." if check.lost else ""
         seconds = " against ".join(f"{s:.2f}" for s in reversed(check.seconds))
-        exceeded = (f"{self.exceeded}.",) if self.exceeded else ()
         return (
-            *exceeded,
-            f"Budget {mm * self.budget:.4g} mm; estimated error of what is off: "
-            f"{mm * self.estimate:.4f} mm.",
+            *((f"{self.exceeded}.",) if self.exceeded else ()),
+            f"Budget {1e3 * self.budget:.4g} mm; estimated error of what is off: "
+            f"{1e3 * self.estimate:.4f} mm.",
             f"Checked with everything on, over contacts and seeds kept aside: "
-            f"{mm * check.shift:.4f} mm (mean over {check.taxels} taxels); the estimate is "
+            f"{1e3 * check.shift:.4f} mm (mean over {check.taxels} taxels); the estimate is "
             f"{ratio:.2f} times that." + lost,
             f"The chosen scene ran in {seconds} s with everything on: {check.faster:.1f} times "
             "faster.",
@@ -147,7 +154,7 @@ class BudgetReport(Card, Tabular):
             "checked_mm": 1e3 * self.check.shift,
             "times_faster": self.check.faster,
             "on": {e.name: e.setting for e in self.entries if e.on},
-            "off_mm": {e.name: 1e3 * e.shift for e in self.entries if not e.on},
+            "off_mm": {e.name: e.shift_mm for e in self.entries if not e.on},
             "summary": list(self.summary()),
             "table": [list(part) for part in self.table()],
         }
@@ -158,7 +165,7 @@ class BudgetReport(Card, Tabular):
 
     def facts(self) -> dict[str, str]:
         """Budget, estimate, check and what is on, for a notebook."""
-        on = [entry.name.replace("_", " ") for entry in self.entries if entry.on]
+        on = [entry.label for entry in self.entries if entry.on]
         within = "within the budget" if self.fits else self.exceeded
         return {
             "budget": f"{1e3 * self.budget:.4g} mm",
@@ -176,35 +183,21 @@ class BudgetReport(Card, Tabular):
         from ...core import drawing
 
         rows = [entry for entry in self.entries if entry.shift > 0]
-        return drawing.bars(
-            ax,
-            [entry.name.replace("_", " ") for entry in rows],
-            [1e3 * entry.shift for entry in rows],
-            "shift without it (mm)",
-            [entry.on for entry in rows],
-        )
+        names, shifts = [entry.label for entry in rows], [entry.shift_mm for entry in rows]
+        on = [entry.on for entry in rows]
+        return drawing.bars(ax, names, shifts, "shift without it (mm)", on)
 
     def to_arrow(self) -> pa.Table:
         """One row an effect or knob: name, setting, on, shift_mm, seconds, why."""
         import pyarrow as pa
 
-        rows = [
-            {
-                "name": entry.name,
-                "setting": entry.setting,
-                "on": entry.on,
-                "shift_mm": 1e3 * entry.shift,
-                "seconds": entry.seconds,
-                "why": entry.why,
-            }
-            for entry in self.entries
-        ]
+        names = ("name", "setting", "on", "shift_mm", "seconds", "why")
+        rows = [{name: getattr(entry, name) for name in names} for entry in self.entries]
         return pa.Table.from_pylist(rows)
 
     def __str__(self) -> str:
         """The table with the summary below it."""
-        header, entries = self.table()
-        rows = [header, *entries]
+        rows = [HEADER, *(entry.row() for entry in self.entries)]
         width = [max(len(row[k]) for row in rows) for k in range(4)]
         lines = [
             f"{row[0]:{width[0]}}  {row[1]:{width[1]}}  {row[2]:>{width[2]}}  "
@@ -217,5 +210,4 @@ class BudgetReport(Card, Tabular):
 def _largest(entries: Sequence[Entry]) -> str:
     """The entries with the largest shifts, in words."""
     most = sorted(entries, key=lambda entry: -entry.shift)[:MAX_NAMED]
-    named = [f"{entry.name.replace('_', ' ')} {1e3 * entry.shift:.3g} mm" for entry in most]
-    return ", ".join(named) or "none"
+    return ", ".join(f"{entry.label} {entry.shift_mm:.3g} mm" for entry in most) or "none"

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...core.deadline import REPORT_SECONDS, Deadline
 from ...core.errors import OutOfTime, ReachError, StudyError
 from ...core.progress import Progress
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
+from ...exploration.path import Path as ExplorationPath
 from ...exploration.plan import plan_exploration
 from ...scene.scene import Scene
 from .first_run import FirstRun, first_run
 from .pilot import pilot
 from .request import Pilot, Prediction, Request
-
-if TYPE_CHECKING:
-    from ...exploration.path import Path as ExplorationPath
 
 PUNCTUAL = 0.85
 """Part of the seconds asked for that a prediction may use: other work on the machine comes and
@@ -25,6 +23,10 @@ goes."""
 WORTHWHILE = 4.0
 """Seconds that must be left after the first run, in those that it took, so that its parts are
 measured and another run is made: measuring takes about twice as long as the first run."""
+
+
+PREDICTED = ("error_mm", "numerical_mm", "seconds", "processor_seconds")
+"""Fields of a prediction that the metrics hold."""
 
 
 @dataclass(frozen=True)
@@ -90,26 +92,19 @@ def choose(
 
 def least(first: FirstRun, asked: str, why: str) -> Choice:
     """The first run as the run, which nothing was predicted for."""
-    record = {
-        "asked": asked,
-        "setting": f"{first.words}, because {why}",
-        "error_mm": None,
-        "numerical_mm": None,
-        "seconds": None,
-        "processor_seconds": None,
-        "readings": len(first.recording.pressure),
-    }
+    setting = f"{first.words}, because {why}"
+    record = {"asked": asked, "setting": setting, **dict.fromkeys(PREDICTED)}
+    record["readings"] = len(first.recording.pressure)
     return Choice(first.scene, first.path, NEWTON_TOLERANCE, first, record)
 
 
 def _best(scene: Scene, measured: Pilot, first: FirstRun, request: Request) -> Choice:
     """The best prediction whose path the arm can follow."""
     reason: ReachError | None = None
+    punctual = request
     if request.seconds is not None:
-        request_then = replace(request, seconds=PUNCTUAL * request.seconds)
-    else:
-        request_then = request
-    for prediction in measured.choose(request_then):
+        punctual = replace(request, seconds=PUNCTUAL * request.seconds)
+    for prediction in measured.choose(punctual):
         chosen = prediction.setting.scene(scene, prediction.setting.body(scene.body))
         try:
             path = plan_exploration(chosen).path
@@ -123,14 +118,10 @@ def _best(scene: Scene, measured: Pilot, first: FirstRun, request: Request) -> C
 
 
 def _record(measured: Pilot, prediction: Prediction, request: Request) -> dict[str, Any]:
-    lanes = measured.setting.lane_spacing / prediction.setting.lane_spacing
-    many = lanes * prediction.setting.rate / measured.setting.rate
+    readings = measured.readings * measured.growth(prediction.setting)
     return {
         "asked": request.words,
         "setting": prediction.setting.words(measured.base),
-        "error_mm": prediction.error_mm,
-        "numerical_mm": prediction.numerical_mm,
-        "seconds": prediction.seconds,
-        "processor_seconds": prediction.processor_seconds,
-        "readings": round(measured.readings * many),
+        **{name: getattr(prediction, name) for name in PREDICTED},
+        "readings": round(readings),
     }

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["KNOBS", "TARGETS", "Costs", "Route", "Row", "Setting", "cost", "front"]
-
 TARGETS = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Accuracies of the table, mm: half a decade each."""
 MARGINS = (1.0, 0.67)
@@ -49,6 +47,10 @@ LOOP, OTHERS = (
     (("faces",), ("degree",), ("contact",), ("method", "tolerance")),
 )
 """Knobs; those that are combined as one stand together, as not all pairs of their levels exist."""
+RECORDED = (
+    "error_mm", "numerical_mm", "bound_mm", "located", "contacts", "readings", "seconds", "failure",
+)  # fmt: skip
+"""Measurements of a row that tables hold."""
 KNOBS = ("faces", "degree", "contact", "dt", "integrator", "lanes", "rate", "method", "tolerance")
 
 
@@ -118,16 +120,9 @@ class Costs(Card, Tabular):
             {
                 "knob": row.knob,
                 "change": row.setting.words(self.base),
-                **{name: getattr(row.setting, name) for name in Setting.__dataclass_fields__},
-                "error_mm": row.error_mm,
-                "numerical_mm": row.numerical_mm,
-                "bound_mm": row.bound_mm,
-                "located": row.located,
-                "contacts": row.contacts,
-                "readings": row.readings,
-                "seconds": row.seconds,
+                **vars(row.setting),
+                **{name: vars(row)[name] for name in RECORDED},
                 "front": id(row) in quick,
-                "failure": row.failure,
             }
             for row in self.rows
         ]

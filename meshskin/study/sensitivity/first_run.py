@@ -6,26 +6,22 @@ It is also the result of a request for a time that is too short for another run.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import KDTree
 
+from ...core.arrays import median_spacing
 from ...core.deadline import PAGE_SECONDS, Deadline
-from ...core.progress import Stage
-from ...estimation.calibrate import calibrate
+from ...core.progress import Progress, Stage
+from ...estimation.calibrate import Estimation
+from ...estimation.calibration import Calibration
+from ...exploration.path import Path as ExplorationPath
+from ...recording.recording import Recording
+from ...scene.scene import Scene
+from ...simulation.rollout import Steps
 from ...simulation.simulate import prepare, record_steps, run
+from ...simulation.simulator import Simulator
 from .setting import Setting
 from .trial import timed
-
-if TYPE_CHECKING:
-    from ...core.progress import Progress
-    from ...estimation.calibration import Calibration
-    from ...exploration.path import Path as ExplorationPath
-    from ...recording.recording import Recording
-    from ...scene.scene import Scene
-    from ...simulation.rollout import Steps
-    from ...simulation.simulator import Simulator
 
 FIRST_STEPS, MEASURED_STEPS = 3, 20
 """Usual steps of a first run and of measuring its parts, of the stage "pilot"."""
@@ -56,10 +52,15 @@ class FirstRun:
     path: ExplorationPath
     machine: Simulator
     steps: list[Steps]
-    recording: Recording
+    estimation: Estimation
     calibration: Calibration
     seconds: tuple[float, float]
     """Processor seconds of planning, and of running the loop."""
+
+    @property
+    def recording(self) -> Recording:
+        """What was calibrated."""
+        return self.estimation.recording
 
     def read(self, seed: int) -> Recording:
         """The recording of the steps."""
@@ -73,8 +74,8 @@ def least_seconds(scene: Scene) -> float:
     setting, radius = Setting.of(scene), scene.rig.sensing_radius
     lane = _widest_lanes(setting, radius).lane_spacing
     positions = scene.skin.positions
-    nearest = KDTree(positions).query(positions, 2)[0][:, 1]
-    area = len(positions) * np.sqrt(3) / 2 * np.median(nearest) ** 2  # of a hexagonal lattice
+    spacing = median_spacing(positions)
+    area = len(positions) * np.sqrt(3) / 2 * spacing**2  # of a hexagonal lattice
     disc = np.pi * (np.sqrt(area / np.pi) + radius) ** 2
     contacts = disc / (lane * scene.exploration.speed / setting.rate)
     return PER_CONTACT * float(contacts)
@@ -102,11 +103,11 @@ def first_run(
 
     steps, looping = timed(lambda: list(run(small, machine, path, looped)))
     stage.step()
-    recording = record_steps(small, machine, path, steps, seed)
-    found = calibrate(recording, small.belief(), progress=quiet)
+    estimation = Estimation(record_steps(small, machine, path, steps, seed), small.belief())
+    found = estimation.calibrate(progress=quiet)
     stage.step()
     words, seconds = coarse.words(base), (preparing, looping)
-    return FirstRun(small, coarse, words, path, machine, steps, recording, found, seconds)
+    return FirstRun(small, coarse, words, path, machine, steps, estimation, found, seconds)
 
 
 def _widest_lanes(base: Setting, radius: float) -> Setting:

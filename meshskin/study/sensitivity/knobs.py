@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +14,9 @@ from ...contact import BATCHED
 from ...core.arrays import Array
 from ...estimation.calibrate import METHODS
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
+from ...geometry.body import Body
+from ...scene.scene import Scene
 from .setting import Setting
-
-if TYPE_CHECKING:
-    from ...geometry.body import Body
-    from ...scene.scene import Scene
 
 FINER = 4
 """Refinement of mesh and time step at which discretisation errors are small against those of the

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,17 +21,13 @@ from ... import effects
 from ...contact import solve
 from ...core.arrays import Array
 from ...core.errors import ContactError, SimulationError
-from ...effects.frames import EffectClock
+from ...effects.frames import EffectClock, Frames
 from ...estimation.calibrate import calibrate
 from ...exploration.plan import plan_exploration
+from ...scene.scene import Scene
 from ...simulation.readout import contact_frames, effect_pipeline, make_frames, record
 from ...simulation.simulate import prepare, run
 from ...simulation.state_machine import SLIDE
-
-if TYPE_CHECKING:
-    from ...effects.frames import Frames
-    from ...scene.scene import Scene
-
 
 SIGMA = 0.01
 """Standard deviation by which the readings of a scene without noise are weighted, relative to the

@@ -14,12 +14,10 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...contact import BATCHED
-from ...core import arrow
 from ...core.arrays import Array
 from ...core.deadline import REPORT_SECONDS, Deadline
 from ...core.errors import (
@@ -34,8 +32,13 @@ from ...core.errors import (
 from ...core.progress import Progress, Stage
 from ...effects import NoiseEffect
 from ...estimation.calibrate import Estimation, calibrate
+from ...estimation.calibration import Calibration
+from ...estimation.cross_validation import subset
 from ...estimation.uncertainty import metrics
+from ...geometry.body import Body
 from ...recording.recording import Recording
+from ...scene.belief import Belief
+from ...scene.scene import Scene
 from ...simulation.contact_samplers import concatenate
 from ...simulation.simulate import simulate
 from .first_run import FIRST_STEPS, LANES, MEASURED_STEPS, FirstRun
@@ -44,13 +47,6 @@ from .numerical_error import NumericalReference, geometry, mean_mm
 from .request import Pilot, Request
 from .setting import Setting
 from .trial import timed
-
-if TYPE_CHECKING:
-    from ...estimation.calibration import Calibration
-    from ...geometry.body import Body
-    from ...scene.belief import Belief
-    from ...scene.scene import Scene
-
 
 THIN = 4
 """Every THIN-th contact is calibrated again, to separate fixed seconds from those of a reading."""
@@ -83,7 +79,7 @@ def pilot(
     stage.progress, stage.done = hook, FIRST_STEPS
     _, reading = timed(lambda: first.read(seed))  # the first time takes longer
     stage.step()
-    few = _thinned(recording)
+    few, _ = subset(recording, belief, np.arange(len(recording.time)) % THIN == 0)
     parts = [_estimates(data, belief, methods, stage) for data in (recording, few)]
     cost, less = (sum(part.values()) for part in parts)
     each = max(cost - less, 0.0) / max(len(recording.pressure) - len(few.pressure), 1)
@@ -145,8 +141,7 @@ def _with_levels(measured: Pilot, scene: Scene, request: Request) -> Pilot:
     lanes = measured.setting.lane_spacing / best.lane_spacing
     if lanes > 2 * len(COARSER) * len(own):
         knobs[1] = worthwhile(own + loop_levels(reference, scene, COARSER))
-    frames = lanes * best.rate / measured.setting.rate
-    if frames > 2 * len(BATCHED):
+    if measured.growth(best) > 2 * len(BATCHED):
         knobs.append(worthwhile(contact_levels(reference, scene)))
     return replace(measured, knobs=tuple(knobs))
 
@@ -169,9 +164,8 @@ def with_long_recording(
     except StudyError:
         return measured
     once, each = measured.estimating
-    lanes = measured.setting.lane_spacing / best.setting.lane_spacing
     longest = min(
-        measured.readings * lanes * best.setting.rate / measured.setting.rate,
+        measured.readings * measured.growth(best.setting),
         REPEAT_SHARE * best.processor_seconds / max(each, 1e-9),
     )
     times = round(longest / max(measured.readings, 1))
@@ -212,16 +206,6 @@ def _estimates(
         seconds[method], begin = now - begin, now
         stage.step()
     return seconds
-
-
-def _thinned(recording: Recording) -> Recording:
-    """Every THIN-th contact of a recording."""
-    keep = np.arange(len(recording.time)) % THIN == 0
-    return Recording(
-        recording.contacts.filter(arrow.column(keep)),
-        recording.readings.filter(arrow.column(keep[recording.reading_contact])),
-        recording.metadata,
-    )
 
 
 def _systematic(scene: Scene, found: Calibration, seed: int) -> float:

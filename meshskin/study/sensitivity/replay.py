@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,19 +18,16 @@ from ...effects import Effect, EffectPipeline, NoiseEffect, ordered
 from ...effects.frames import Frames
 from ...estimation.calibrate import calibrate
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
+from ...exploration.path import Path
 from ...exploration.plan import plan_exploration
 from ...recording.recording import Recording
+from ...scene.belief import Belief
+from ...scene.scene import Scene
 from ...simulation.readout import contact_frames, effect_pipeline, sensor_tables
 from ...simulation.simulate import prepare, run
 from .budget_report import Check
 from .selection import mean_length
 from .trial import timed
-
-if TYPE_CHECKING:
-    from ...exploration.path import Path
-    from ...scene.belief import Belief
-    from ...scene.scene import Scene
-
 
 LONGEST = 40.0
 """Longest part of the path, s: above the 23 s of the whole path of the paper's sphere."""

@@ -113,10 +113,15 @@ class Pilot:
         """Wall time over processor time during the pilot."""
         return max(self.spent[0] / max(self.spent[1], 1e-9), 1.0)
 
+    def growth(self, setting: Setting) -> float:
+        """Contacts of a run at `setting` over those of the pilot."""
+        lanes = self.setting.lane_spacing / setting.lane_spacing
+        return lanes * setting.rate / self.setting.rate
+
     def predict(self, setting: Setting, levels: Sequence[Level] = ()) -> Prediction:
         """The prediction for lanes and rate of `setting`, with these levels of the other knobs."""
         lanes = self.setting.lane_spacing / setting.lane_spacing
-        many = lanes * setting.rate / self.setting.rate
+        many = self.growth(setting)
         error = float(np.hypot(self.bound_mm / np.sqrt(many), self.systematic_mm))
         once, each = self.estimating
         more = self.fixed + self.each_step * self.steps * lanes

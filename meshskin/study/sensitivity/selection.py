@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,16 +15,11 @@ from ... import effects
 from ...core.arrays import Array
 from ...core.errors import MeshskinError
 from ...effects import Context, Effect
-
-if TYPE_CHECKING:
-    from ...scene.scene import Scene
+from ...scene.scene import Scene
 
 NEGLIGIBLE = 0.05
 """Part of the budget that all effects that are screened out may take together, by their bounds:
 small against the 0.7 that the estimate may take (budget.MARGIN)."""
-
-JointShift = Callable[[frozenset[str]], Array]
-"""Shift of the taxels (seeds, n, 3), m, with these items on and all others left out."""
 
 
 @dataclass(frozen=True)
@@ -99,13 +93,17 @@ def mean_length(shift: Array) -> float:
 
 
 def choose(
-    items: Sequence[Item], limit: float, forced: Iterable[str], joint: JointShift
+    items: Sequence[Item],
+    limit: float,
+    forced: Iterable[str],
+    joint: Callable[[frozenset[str]], Array],
 ) -> tuple[frozenset[str], Array]:
     """Names of the items to be on, and the shift of the taxels without the others.
 
     Items are added by the shift that they remove per second of their cost, until the rest is at
     most `limit`, m; then those that are not needed are removed again, the most expensive first. If
-    shifts do not add up, as `joint` tells, more items are added. `forced` items are always on.
+    shifts do not add up, as `joint` tells, the shift (seeds, n, 3), m, with some items on and all
+    others left out, more items are added. `forced` items are always on.
     """
     forced = with_required(forced, items)
     on = _prune(_grow(forced, items, limit), items, forced, limit)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from ...geometry.body import Body
-
-if TYPE_CHECKING:
-    from ...scene.scene import Scene
+from ...scene.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,12 @@ over all taxels and the unknowns that they share.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...core.arrays import Array
-from ...core.errors import ContactError, ReachError, SimulationError
-from ...core.progress import Stage
 from ...effects import Effect
 from ...estimation import chart
 from ...estimation.calibrate import calibrate
@@ -27,15 +24,11 @@ from ...estimation.data.gather import gather
 from ...estimation.joint import fault_detection
 from ...estimation.joint.joint_estimator import JointEstimator
 from ...estimation.joint.parametrization import SurfaceParametrization
+from ...recording.recording import Recording
+from ...scene.belief import Belief
+from ...scene.scene import Scene
 from .knobs import SECONDS, TOLERANCES, Knob, Level
 from .replay import Halves, Replay
-
-if TYPE_CHECKING:
-    from ...exploration.path import Path
-    from ...recording.recording import Recording
-    from ...scene.belief import Belief
-    from ...scene.scene import Scene
-
 
 MAX_DISTANCE = 5e-3
 """Distance, m, from its start beyond which a taxel counts as not determined: about the range in
@@ -107,19 +100,6 @@ def determined_taxels(recording: Recording, belief: Belief) -> np.ndarray:
     return out
 
 
-@dataclass(frozen=True)
-class Omission:
-    """The consequences of leaving out effects."""
-
-    shift: Array
-    """Shift of the taxels of the half (seeds, n, 3), m."""
-    changed: int
-    """Number of taxels that are determined only with these effects, or only without them (the
-    largest number over the seeds)."""
-    fewer: float
-    """Part of the readings that are lost; negative if there are more."""
-
-
 @dataclass
 class EffectShifts:
     """Effects over one half of a replay, in which every run has the same motion and noise."""
@@ -143,8 +123,12 @@ class EffectShifts:
         self._residual = [solution.step(r, self.belief)[0] for solution, r in pairs]
         self._determined = [determined_taxels(r, self.belief) for r in self.recordings]
 
-    def without(self, off: Iterable[str]) -> Omission:
-        """The consequences of leaving out effects, by name."""
+    def without(self, off: Iterable[str]) -> tuple[Array, int, float]:
+        """What leaving out effects, by name, does: the shift of the taxels of the half
+        (seeds, n, 3), m; the number of taxels that are determined only with these effects, or only
+        without them, the largest over the seeds; and the part of the readings that are lost,
+        negative if there are more.
+        """
         kept = tuple(effect for effect in self.effects if effect.name not in set(off))
         rows, shifts, changed, fewer = self.halves.taxels[0], [], 0, 0.0
         for k, seed in enumerate(self.seeds):
@@ -155,7 +139,7 @@ class EffectShifts:
             changed = max(changed, int(differs[rows].sum()))
             lost = 1.0 - len(recording.pressure) / max(len(whole.pressure), 1)
             fewer += lost / len(self.seeds)
-        return Omission(np.stack(shifts), changed, fewer)
+        return np.stack(shifts), changed, fewer
 
     def _recording(self, effects: tuple[Effect, ...], seed: int) -> Recording:
         return self.replay.recording(effects, seed, self.halves)
@@ -175,48 +159,10 @@ def tolerance_knob(shifts: EffectShifts, contacts: float) -> Knob:
         seconds = SECONDS["reading"] * readings * iterations
         level = Level({"tolerance": tolerance}, reading=seconds, label=f"{tolerance:g}")
         levels.append(replace(level, shift=found.positions[rows]))
-    return _against_finest("solver tolerance", levels, len(levels) - 1)
+    return against_finest("solver tolerance", levels, len(levels) - 1)
 
 
-def measured_knob(
-    knob: Knob,
-    replay: Replay,
-    scene_with: Callable[[Mapping[str, Any]], Scene],
-    path: Path,
-    halves: Halves,
-    belief: Belief,
-    stage: Stage,
-) -> Knob:
-    """A knob with the shifts of its levels, measured along a path without effects.
-
-    replay: of the scene's own level; scene_with: the scene with the changes of a level; stage:
-    called after each level. Levels that cannot be run (a time step may be too long for the touch),
-    or under which the contact model does not hold, are left out.
-    """
-    solution = Solution.true(replay.scene)
-    levels: list[Level] = []
-    for k, level in enumerate(knob.levels):
-        own, scene = k == knob.declared, scene_with(level.changes)
-        try:
-            run = replay if own else Replay.of(scene, path)
-        except (SimulationError, ReachError, ContactError):
-            continue
-        finally:
-            stage.step()
-        recording = run.recording((), 0, halves)
-        try:
-            move, _ = solution.step(recording, replace(belief, body=scene.body))
-        except ContactError:
-            if own:
-                raise
-            continue
-        if own:
-            declared = len(levels)
-        levels.append(replace(level, shift=move[halves.taxels[0]]))
-    return _against_finest(knob.name, levels, declared)
-
-
-def _against_finest(name: str, levels: Sequence[Level], declared: int) -> Knob:
+def against_finest(name: str, levels: Sequence[Level], declared: int) -> Knob:
     """A knob from levels whose `shift` holds positions or moves: the last is subtracted."""
     finest = levels[-1].shift
     return Knob(name, tuple(replace(x, shift=x.shift - finest) for x in levels), declared)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,14 +13,12 @@ from ...core.errors import ContactError, MeshskinError
 from ...estimation.calibrate import calibrate
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from ...estimation.uncertainty import metrics
+from ...geometry.body import Body
+from ...recording.recording import Recording
+from ...scene.scene import Scene
 from ...simulation.simulate import simulate
 from .numerical_error import NumericalReference, mean_mm
 from .setting import Setting
-
-if TYPE_CHECKING:
-    from ...geometry.body import Body
-    from ...recording.recording import Recording
-    from ...scene.scene import Scene
 
 T = TypeVar("T")
 

@@ -110,9 +110,9 @@ def _list(key: str, values: Any) -> list[Any]:
     return [v.item() if isinstance(v, np.generic) else v for v in values]
 
 
-def check_grid(base: BaseScene, grid: Grid | Sequence[Grid], method: str) -> None:
+def check_grid(base: BaseScene, grids: Sequence[Grid], method: str) -> None:
     """Check every value of every key separately. Raises ConfigError."""
-    for one in plain_grids(grid):
+    for one in grids:
         for key, values in one.items():
             for value in values:
                 _check_value(base, key, value)
@@ -131,17 +131,11 @@ def _check_value(base: BaseScene, key: str, value: Any) -> None:
         base.check(_belief_part(parameters))
 
 
-def grid_points(grid: Grid | Sequence[Grid]) -> Iterator[dict[str, Any]]:
-    """Every combination of the values of a grid, the last key fastest; grid after grid."""
-    for one in plain_grids(grid):
-        for values in itertools.product(*one.values()):
-            yield dict(zip(one, values, strict=True))
-
-
 def expand(
-    base: BaseScene, grid: Grid | Sequence[Grid], seeds: Sequence[int], method: str, runner: str
+    base: BaseScene, grids: Sequence[Grid], seeds: Sequence[int], method: str, runner: str
 ) -> Iterator[Case]:
-    """All cases, the seeds fastest; cases with the same key are listed once.
+    """All cases, grid after grid, the seeds fastest, then the last key; those with the same key are
+    listed once.
 
     `runner`: identity of the run function (`runner_identity`).
     """
@@ -149,7 +143,8 @@ def expand(
     del packages["python"]  # results do not depend on the patch release of Python
     shared = canonical_json([packages, runner])
     seen: set[str] = set()
-    for point in grid_points(grid):
+    points = (dict(zip(g, v, strict=True)) for g in grids for v in itertools.product(*g.values()))
+    for point in points:
         case_method = str(point.pop("method", method))
         other = {k: v for k, v in point.items() if k.startswith((RUN_PREFIX, BELIEF_PREFIX))}
         scene = base.identity(_scene_part(point))

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...estimation.calibrate import calibrate
 from ...estimation.uncertainty import metrics
 from ...simulation.simulate import simulate
 from ..sensitivity.budget import budget
-
-if TYPE_CHECKING:
-    from .case import Case
+from .case import Case
 
 Value = float | int | None
 

@@ -154,16 +154,12 @@ def _column(values: list[Any]) -> pa.Array:
     """An Arrow column, whose type follows from its values."""
     import pyarrow as pa
 
-    kinds = {type(v) for v in values if v is not None}
-    if not kinds:
+    if all(v is None for v in values):
         return pa.array(values, pa.float64())
-    if kinds == {bool}:
-        return pa.array(values, pa.bool_())
-    if kinds == {int}:
-        return pa.array(values, pa.int64())
-    if kinds <= {int, float}:
-        return pa.array([None if v is None else float(v) for v in values], pa.float64())
-    return pa.array([None if v is None else str(v) for v in values], pa.string())
+    try:
+        return pa.array(values)
+    except (pa.ArrowInvalid, pa.ArrowTypeError):  # of several types
+        return pa.array([None if v is None else str(v) for v in values], pa.string())
 
 
 def tables(rows: Iterable[tuple[Case, Outcome | None]]) -> tuple[pa.Table, pa.Table]:
@@ -194,16 +190,11 @@ def _cell(value: Any) -> Any:
 
 
 def write_table(table: pa.Table, path: Path) -> None:
-    """Write a table as Parquet, atomically. Raises OutputError."""
-    import pyarrow.parquet as pq
+    """Write a table as Parquet or CSV, by the suffix, atomically. Raises OutputError."""
+    from pyarrow import csv, parquet
 
     with atomic(path) as temporary:
-        pq.write_table(table, temporary)
-
-
-def write_csv(table: pa.Table, path: Path) -> None:
-    """Write a table as CSV, atomically. Raises OutputError."""
-    from pyarrow import csv
-
-    with atomic(path) as temporary:
-        csv.write_csv(table, temporary)
+        if path.suffix == ".csv":
+            csv.write_csv(table, temporary)
+        else:
+            parquet.write_table(table, temporary)

@@ -29,7 +29,7 @@ from .case import (
     runner_identity,
 )
 from .function_reference import SCRIPT, WORKER_MAIN, FunctionReference
-from .store import Store, tables, write_csv, write_table
+from .store import Store, tables, write_table
 from .study_table import StudyTable
 from .worker import WorkerSetup
 
@@ -127,6 +127,10 @@ class Study:
         return [s.item() if isinstance(s, np.integer) else s for s in self.seeds]
 
     @cached_property
+    def _grids(self) -> list[dict[str, list[Any]]]:
+        return plain_grids(self.grid)
+
+    @cached_property
     def _run(self) -> RunFunction:
         if self.run is not None:
             return self.run
@@ -140,9 +144,9 @@ class Study:
 
     def cases(self) -> list[Case]:
         """All cases, in order. Raises ConfigError for a grid that does not fit the scene."""
-        check_grid(self._base, self.grid, self.method)
+        check_grid(self._base, self._grids, self.method)
         runner = runner_identity(self._run, self.version)
-        found = list(expand(self._base, self.grid, self._seeds, self.method, runner))
+        found = list(expand(self._base, self._grids, self._seeds, self.method, runner))
         if not found:
             raise ConfigError(f"the study {self.name} has no cases", remedy="give it seeds")
         if self.run is None and self.base is None:
@@ -156,7 +160,7 @@ class Study:
 
     def results(self, out: str | Path) -> StudyTable:
         """The table of the folder `out`, for a notebook: with a card, a figure and `to_pandas`."""
-        varied = dict.fromkeys(key for grid in plain_grids(self.grid) for key in grid)
+        varied = dict.fromkeys(key for grid in self._grids for key in grid)
         return StudyTable(self.table(out), tuple(varied), self.name)
 
     def sweep(
@@ -207,7 +211,7 @@ class Study:
             table, times = tables((case, store.read(case.key)) for case in cases)
             write_table(table, store.folder / "table.parquet")
             write_table(times, store.folder / "times.parquet")
-            write_csv(table, store.folder / "table.csv")
+            write_table(table, store.folder / "table.csv")
         return table
 
     def _open(self, cases: list[Case], store: Store, retry: bool) -> tuple[list[Case], int]:
@@ -239,7 +243,7 @@ class Study:
             "name": self.name,
             "cases": count,
             "base": str(self.base) if isinstance(self.base, str | Path) else tables.get("name"),
-            "grid": plain_grids(self.grid),
+            "grid": self._grids,
             "seeds": list(self._seeds),
             "method": self.method,
             "run": f"{self._run.__module__}:{self._run.__qualname__}",

@@ -228,7 +228,8 @@ class WorkerPool:
                 return None
             return died(task, limits, 0 if error.exitcode == _CLEAN_EXIT else error.exitcode)
         except TimeoutError:
-            return timed_out(task, limits)
+            late = f"out of time, limit: {limits.seconds:g} s"
+            return Outcome(task.key, {}, TIMEOUT, late, None, limits.seconds or 0.0, limits)
         except BrokenProcessPool:
             self._running[future] = task
             raise
@@ -239,14 +240,6 @@ class WorkerPool:
 _START_REMEDY = (
     'read their messages above; a script must start the study under if __name__ == "__main__":'
 )
-
-
-def timed_out(task: Case, limits: Limits) -> Outcome:
-    """The outcome of a case that exceeded its time limit."""
-    error = f"out of time, limit: {limits.seconds:g} s"
-    return Outcome(
-        task.key, reason=TIMEOUT, error=error, seconds=limits.seconds or 0.0, limits=limits
-    )
 
 
 def died(task: Case, limits: Limits, code: int | None) -> Outcome:

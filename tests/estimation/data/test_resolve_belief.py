@@ -71,6 +71,23 @@ def test_where_no_contact_model_holds(world):
         resolve_belief(soft, seen.record())
 
 
+def test_the_response_is_learned_where_no_contact_model_holds(world):
+    """On skin that is softer than believed, or pressed harder than contact models reach."""
+    seen = type(world)(extent=17e-3, body=ms.Body.sphere(0.1))
+    recording = seen.record(sigma=0.01, threshold=0.03)
+    material = ms.Material(0.4 * YOUNG, 0.49)
+    told = replace(belief(seen, threshold=0.03 * seen.peak_reference), material=material)
+    with pytest.raises(ContactError, match="too wide for the parabolic gap of elliptic"):
+        gather(recording, told)
+    found = ms.calibrate(recording, told)
+    assert found.response is not None
+    error = np.linalg.norm(found.positions - seen.truth, axis=1)
+    assert np.sqrt(np.mean(error**2)) < 1.25 * np.sqrt(np.mean(found.position_sigma**2)) < 0.05e-3
+    assert np.isfinite(ms.calibrate(recording, told, method="centroid").positions).all()
+    with pytest.raises(CalibrationError, match=r"trilateration needs .* too wide"):
+        ms.calibrate(recording, told, method="trilateration")
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

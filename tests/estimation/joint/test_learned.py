@@ -193,6 +193,24 @@ def test_a_bell_shaped_profile_is_learned(bell_shaped):
     assert 0.75 < stated / error < 1.3
 
 
+def test_noise_does_not_fall_before_its_share_in_the_residuals_is_known(monkeypatch):
+    """Two or three readings of a contact fit its three errors however small the noise is: on a limb
+    the noise fell to its least value and stayed there."""
+    step, seen = random_effects.RandomEffects.step, []
+
+    def watched(effects, settled):
+        seen.append((effects.deviations.noise, effects.leverages.any()))
+        return step(effects, settled)
+
+    monkeypatch.setattr(random_effects.RandomEffects, "step", watched)
+    calibrate(recording(*world(hertz, contacts=250)), belief(contact="learned"))
+    noise, known = map(np.array, zip(*seen, strict=True))
+    first = np.flatnonzero(known)[0]
+    assert first >= 2
+    assert np.all(np.diff(noise[:first]) >= 0)
+    assert noise[-1] < noise[0]
+
+
 def test_scatter_of_the_contact_points_is_found():
     log = recording(*world(hertz, scatter=0.3e-3))
     learned = calibrate(log, belief())

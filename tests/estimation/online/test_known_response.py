@@ -7,9 +7,9 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.errors import CalibrationError
+from meshskin.estimation.online.frames import RecordedFrames
 from meshskin.estimation.online.known_response import KnownResponse
 from meshskin.recording.recording import NOMINAL, Recording
-from meshskin.report.live.replay import Frames
 
 COUNTS = 1e-2
 """Counts per Pa."""
@@ -50,7 +50,7 @@ def replayed(raw):
     found, recording, _, _ = raw
     known = KnownResponse.of(found, recording)
     online = known.online()
-    frames = Frames(known.recording, online.ids, known.errors)
+    frames = RecordedFrames(known.recording, online.ids, known.errors)
     for begin in range(0, COUNT, 4):
         online.update(*frames.part(begin, begin + 4))
     online.settle()
@@ -67,7 +67,7 @@ def test_taxels_are_where_the_batch_estimate_puts_them(raw, replayed):
 def test_without_the_errors_of_the_forces_the_places_are_others(raw, replayed):
     found, (known, _) = raw[0], replayed
     online = known.online()
-    frames = Frames(known.recording, online.ids)
+    frames = RecordedFrames(known.recording, online.ids)
     online.update(*frames.part(0, COUNT))
     online.settle()
     apart = np.linalg.norm(online.provisional - found.positions, axis=1)
@@ -113,7 +113,7 @@ def past(noisy):
 def replay(known):
     """The online calibration of the contacts of a known response."""
     online = known.online()
-    frames = Frames(known.recording, online.ids, known.errors)
+    frames = RecordedFrames(known.recording, online.ids, known.errors)
     for begin in range(0, len(known.recording.points), 10):
         online.update(*frames.part(begin, min(begin + 10, len(known.recording.points))))
     online.settle()
@@ -150,3 +150,26 @@ def test_saturated_readings_of_a_past_are_lost(past):
     full = int(np.sum(recording.pressure >= end))
     assert full > 10
     assert np.isnan(known.recording.pressure).sum() == full
+
+
+def test_contacts_that_the_batch_left_out_are_left_out(raw):
+    """Three contacts whose readings are nonsense, which the batch did not use."""
+    found, recording, _, _ = raw
+    bad = [5, 20, 41]
+    errors, readings = found.contact_errors.copy(), recording.readings
+    errors[bad] = np.nan
+    at = np.isin(readings["time"].to_numpy(), recording.time[bad])
+    counts = np.where(at, 3.0 * recording.pressure.max(), recording.pressure)
+    column = readings.column_names.index("pressure")
+    spoilt = replace(recording, readings=readings.set_column(column, "pressure", [counts]))
+    known = KnownResponse.of(replace(found, contact_errors=errors), spoilt)
+    kept = np.setdiff1d(np.arange(COUNT), bad)
+    assert at.any()
+    np.testing.assert_array_equal(known.recording.time, recording.time[kept])
+    np.testing.assert_array_equal(known.errors, found.contact_errors[kept])
+    assert not np.isin(known.recording.readings["time"], recording.time[bad]).any()
+    online = replay(known)
+    assert online.status.used == len(kept)
+    apart = np.linalg.norm(online.positions - found.positions, axis=1)
+    assert (apart < 0.5 * found.position_sigma).all()
+    assert len(KnownResponse.of(found, spoilt).recording.time) == COUNT

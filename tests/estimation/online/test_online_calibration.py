@@ -8,7 +8,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.errors import CalibrationError, ConfigError, RecordingError
-from meshskin.estimation.online.judge import Judge
+from meshskin.estimation.online.status import Judge
 
 NOISE, THRESHOLD = 0.01, 0.05
 
@@ -123,7 +123,7 @@ def test_an_unknown_noise_is_estimated_on_the_way(world, frames):
     assert np.array_equal(np.isfinite(online.positions[:, 0]), found)
     assert sigmas_apart(online, batch)[found].max() < 0.01
     assert np.allclose(online.position_sigma[found], batch.position_sigma[found], rtol=0.05)
-    noise = online._estimate.store.template.noise
+    noise = online.estimate.store.template.noise
     assert noise == pytest.approx(batch.fit.noise, rel=0.02)
     assert noise == pytest.approx(NOISE * world.peak_reference, rel=0.15)
 
@@ -133,7 +133,7 @@ def test_normal_equations_are_those_of_another_unit(world, frames):
     belief = world.belief(NOISE, THRESHOLD, unknown=("modulus", "gain", "offset"))
     online = ms.OnlineCalibration(belief)
     online.update(frames[0].take(slice(0, 60)), frames[1][:60])
-    info = online._estimate.information
+    info = online.estimate.information
     rows = np.flatnonzero(info.placed)
     points, before = info.points(rows), pickle.loads(pickle.dumps(info))
     info.rescale(0.5)
@@ -157,7 +157,7 @@ def test_taxels_that_moved_are_named(online, batch):
     everywhere = np.ones(len(online.ids), dtype=bool)
     for previous, moved in ((batch, 0), (replace(batch, poses=shifted), 4)):
         judge = Judge(online.ids, previous, everywhere, 1e-4)
-        judge.look(online._estimate, 0)
+        judge.look(online.estimate, 0)
         known = np.isfinite(batch.positions[:4, 0]).sum() if moved else 0
         assert judge.moved.sum() == judge.moved[:4].sum() == known
         verdict = judge.verdict(online.position_sigma, everywhere)[0]

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from meshskin.core import se3
-from meshskin.estimation.posegraph import kernel
-from meshskin.estimation.posegraph.kernel import LOWER, edge_kernel, error, weighted_errors
+from meshskin.estimation.posegraph import edge_assembly as kernel
+from meshskin.estimation.posegraph.edge_assembly import LOWER, edge_kernel, error, weighted_errors
 from meshskin.estimation.posegraph.solve import RESIDUALS
 
 SCALE = np.array([1e-2, 0.3])

@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 import meshskin as ms
 from meshskin.core.errors import CalibrationError
-from meshskin.estimation.recalibrate.chance import log_chance
+from meshskin.estimation.recalibrate.evidence import log_chance
 from meshskin.estimation.recalibrate.hypotheses import unchanged
 from meshskin.estimation.recalibrate.readings import read, touches_of
 from meshskin.estimation.recalibrate.skin_map import skin_map
@@ -91,10 +91,8 @@ def test_raw_readings_are_predicted_by_the_learned_response(world, mapped):
     known, recording = skin_map(map_, belief), counts(scene, few, 4, falling)
     touches = read(recording, belief, known, map_)
     off = []
-    for unit, rows in enumerate(known.units):
-        state = unchanged(known, unit)
-        errors = Errors(0.01, 1e-5, 1e-3)
-        block = touches.blocks(rows, known.covariance[rows], [state], errors)[0]
+    for unit in range(len(known.units)):
+        (block,) = touches.blocks(unit, [unchanged(known, unit)], Errors(0.01, 1e-5, 1e-3))
         off.append((block.level - block.mean)[block.read])
     peak = np.nanmax(touches.level)
     assert np.std(np.concatenate(off)) < 0.03 * peak

@@ -11,8 +11,8 @@ import meshskin as ms
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.recalibrate import errors as errors_module
 from meshskin.estimation.recalibrate import evidence
-from meshskin.estimation.recalibrate import touches as touches_module
 from meshskin.estimation.recalibrate.hypotheses import (
+    CONFIRMED,
     GAIN,
     MOVED,
     Hypothesis,
@@ -21,7 +21,7 @@ from meshskin.estimation.recalibrate.hypotheses import (
     unchanged,
 )
 from meshskin.estimation.recalibrate.skin_map import skin_map, turns
-from meshskin.estimation.recalibrate.touches import Block, Errors, Touches, covariance_of
+from meshskin.estimation.recalibrate.touches import Block, Errors, Touches
 from meshskin.skin import slots
 
 
@@ -101,21 +101,23 @@ def test_a_single_taxel_that_changed(setting, factor, state):
 
 def test_the_likelihood_is_that_of_a_normal_distribution(setting):
     """Against scipy, with one silent reading given the others."""
-    block = touches_module.Block(
-        np.array([0, 0, 1]), np.array([0, 1, 1]), np.array([0.5, 0.2, np.nan]),
+    places = np.tile(1e-8 * np.eye(3), (2, 1, 1))
+    state = Hypothesis(CONFIRMED, np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2), places)
+    block = Block(
+        state, np.array([0, 0, 1]), np.array([0, 1, 1]), np.array([0.5, 0.2, np.nan]),
         np.array([0.45, 0.22, 0.08]), 100 * np.random.default_rng(0).normal(size=(3, 3)),
         np.full(3, 1e-4), np.array([-0.3, 0.1, 0.1]), np.array([0.4, 0.2, 0.05]),
         np.zeros(3), np.zeros(3),
     )  # fmt: skip
     errors = Errors(0.01, 2e-4, 0.03, common=((0.01, 0.0), (0.0, 0.002)))
-    c = touches_module.covariance_of(block, errors, np.tile(1e-8 * np.eye(3), (2, 1, 1)))
+    c = block.covariance(errors)
     mean, threshold = block.mean, 0.05
     joint = multivariate_normal(mean[:2], c[:2, :2]).logpdf(block.level[:2])
     gain = c[2, :2] @ np.linalg.inv(c[:2, :2])
     at, sd = mean[2] + gain @ (block.level - mean)[:2], np.sqrt(c[2, 2] - gain @ c[:2, 2])
     far = norm.logcdf(threshold / errors.sigma)
     expected = joint + norm.logcdf((threshold - at) / sd) - 3 * far
-    assert touches_module.log_likelihood(block, c, errors, threshold) == pytest.approx(expected)
+    assert block.log_likelihood(errors, threshold) == pytest.approx(expected)
 
 
 def test_predictions_average_over_the_errors_of_places(setting):
@@ -126,10 +128,9 @@ def test_predictions_average_over_the_errors_of_places(setting):
     touches = Touches(data, known)
     rows, tau = known.units[0], 0.4e-3
     errors = Errors(1e-6, tau, 1e-9)
-    state = unchanged(known, 0)
-    none = np.zeros((len(rows), 3, 3))
-    block = touches.blocks(rows, none, [state], errors)[0]
-    variance = np.diag(touches_module.covariance_of(block, errors, none))
+    state = replace(unchanged(known, 0), covariance=np.zeros((len(rows), 3, 3)))
+    (block,) = touches.blocks(0, [state], errors)
+    variance = np.diag(block.covariance(errors))
     rng, draws = np.random.default_rng(0), []
     for _ in range(400):
         step = tau * rng.standard_normal((2, len(data.points), 1))
@@ -156,18 +157,18 @@ def test_what_a_component_leaves_open_is_estimated(state):
     slope = rng.normal(scale=200.0, size=(30, 3)) * [1.0, 1.0, 0.0]
     level, zero = mean + rng.normal(scale=0.1, size=30), np.zeros(30)
     level[25:] = np.nan  # silent
-    block = Block(contact, taxel, level, mean, slope, zero, 0.3 * mean, mean, zero, zero)
     errors = Errors(0.02, 1e-4, 0.03, common=((0.04, 0.001), (0.001, 0.01)))
     places, up = np.tile(np.diag([1e-8, 1e-8, 0.0]), (5, 1, 1)), np.tile([0.0, 0.0, 1.0], (5, 1))
-    still = Hypothesis(state, np.zeros((5, 3)), up, np.zeros(5))
+    still = Hypothesis(state, np.zeros((5, 3)), up, np.zeros(5), places)
     if state == MOVED:
         sigma, by, start = 5e-4, slope[:25, :2], [1e-3, -2e-3]
         component = replace(still, shift=(*start, 0.0), shift_sigma=sigma)
     else:
         sigma, by, start = 0.15, mean[:25, None], [0.5]
         component = replace(still, change=0.5, gain_sigma=sigma)
-    found, covariance = evidence._estimate(component, block, errors, places)
-    own = np.linalg.inv(covariance_of(block, errors, places)[:25, :25])
+    columns = contact, taxel, level, mean, slope, zero, 0.3 * mean, mean, zero, zero
+    found, covariance = evidence._estimate(Block(component, *columns), errors)
+    own = np.linalg.inv(Block(still, *columns).covariance(errors)[:25, :25])
     expected = np.linalg.inv(by.T @ own @ by + np.eye(len(start)) / sigma**2)
     size = len(start)
     np.testing.assert_allclose(covariance[:size, :size], expected, rtol=1e-6)
@@ -180,7 +181,7 @@ def test_common_changes_that_nothing_shows_are_zero(setting):
     known = skin_map(scene.skin, scene.belief())
     touches = Touches(_data(scene, points), known)
     errors = replace(errors_module.start(touches), log_modulus=0.2, log_scale=-0.1)
-    found = errors_module._fit_common(touches, known, [], errors, units=[])
+    found = errors_module._fit_common(touches, {}, errors)
     assert np.allclose([found.log_modulus, found.log_scale], 0.0, atol=1e-15)
 
 

@@ -103,5 +103,26 @@ def test_false_responses_all_over_the_body(world):
         assert errors(world, found).mean() < 0.35e-3
 
 
+def test_false_responses_to_sparse_contacts(world, data):
+    """The contact about which a taxel read most is millimetres beside it where contacts are few."""
+    rng = np.random.default_rng(3)
+    kept = rng.choice(len(data.points), len(data.points) // 40, replace=False)
+    sparse = data.select(np.isin(data.contact, kept))
+    taxel = np.repeat(np.unique(sparse.taxel), 2)
+    contact = np.concatenate([
+        rng.choice(kept[np.linalg.norm(data.points[kept] - point, axis=1) > 15e-3], 2)
+        for point in world.truth[taxel[::2]]
+    ])  # fmt: skip
+    false = replace(
+        sparse,
+        contact=np.append(sparse.contact, contact),
+        taxel=np.append(sparse.taxel, taxel),
+        pressure=np.append(sparse.pressure, np.full(len(taxel), 0.04 * world.peak_reference)),
+    )
+    found = coactivation.without_distant_readings(false)
+    assert np.array_equal(found.pressure[: len(sparse.pressure)], sparse.pressure)
+    assert len(found.pressure) - len(sparse.pressure) < 0.1 * len(taxel)
+
+
 def test_sound_recordings_are_unchanged(data):
     assert coactivation.without_distant_readings(data) is data

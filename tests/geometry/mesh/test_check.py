@@ -210,8 +210,22 @@ def test_command_names_its_own_option(ball, tmp_path, capsys):
     trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export(tmp_path / "hole.ply")
     cli.main(["check", str(tmp_path / "hole.ply"), "--units", "m"])
     assert "or --open (open=True in Python) if it is meant" in capsys.readouterr().out
-    assert cli.main(["check", str(tmp_path / "hole.ply")]) == 2
-    assert "(--units), one of m, cm, mm, in" in capsys.readouterr().err
+
+
+def test_command_tells_the_unit_from_the_size(ball, tmp_path, capsys):
+    for scale, unit in ((1.0, "m"), (1e3, "mm"), (1e6, "")):
+        ball.copy().apply_scale(scale).export(tmp_path / "ball.stl")
+        assert cli.main(["check", str(tmp_path / "ball.stl")]) == (0 if unit else 2)
+        said = capsys.readouterr()
+        extent = 1e3 * np.ptp(ball.vertices, axis=0).max()
+        words = f"units     {unit}, by its size: the largest extent is {extent:.4g} mm then"
+        assert words in said.out if unit else "give --units" in said.err
+    ball.export(tmp_path / "ball.stl")
+    cli.main(["check", str(tmp_path / "ball.stl"), "--units", "m"])
+    said = capsys.readouterr().out
+    assert "units" not in said
+    assert "duplicate vertices merged" in said
+    assert "the first near" not in said
 
 
 def test_a_drawing_leaves_out_repairs_all_over_the_mesh(ball):

@@ -9,6 +9,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.errors import ConfigError
+from meshskin.core.se3 import inverse
 from meshskin.report.live import drawing as module
 from meshskin.report.live import marks
 from meshskin.report.live.page import LivePage, check_port, import_viser
@@ -108,7 +109,7 @@ def test_both_views_show_the_robot_in_the_same_place_of_the_body(page, stage, sn
         page._turn()
         seen.append(np.linalg.inv(pose(nodes["/body"])) @ pose(nodes["/world"]))
     np.testing.assert_allclose(seen[0], seen[1], atol=1e-6)
-    np.testing.assert_allclose(seen[0], stage.world_in_body(snapshot.row), atol=1e-6)
+    np.testing.assert_allclose(seen[0], inverse(stage.carrier.body[snapshot.row]), atol=1e-6)
     np.testing.assert_allclose(pose(nodes["/world"]), np.eye(4), atol=1e-9)
 
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from meshskin.core.errors import RecordingError
+from meshskin.core.errors import CalibrationError
+from meshskin.estimation.online.frames import RecordedFrames
 from meshskin.report.live import replay as module
-from meshskin.report.live.replay import LONGEST_PAUSE, REFRESH, Frames, replay, replay_times
+from meshskin.report.live.replay import LONGEST_PAUSE, REFRESH, replay, replay_times
 
 from .conftest import Online
 
@@ -86,8 +87,8 @@ def test_a_slow_calibration_slows_the_replay_down(touched, controls, monkeypatch
 
 
 def test_taxels_that_the_belief_does_not_know_are_refused(touched):
-    with pytest.raises(RecordingError, match="does not know"):
-        Frames(touched, np.arange(3))
+    with pytest.raises(CalibrationError, match="does not know"):
+        RecordedFrames(touched, np.arange(3))
 
 
 def test_a_snapshot_turns_covariances_into_the_body_frame(noisy):

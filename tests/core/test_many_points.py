@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from meshskin.core.columns import POINTS, ColumnFunction
+from meshskin.core.many_points import BATCH, POINTS, ColumnFunction, RowFunction
 
 
 def example():
@@ -33,3 +33,13 @@ def test_numbers_are_the_same_at_all_points():
     found = ColumnFunction("example", *example())(4, 0.5, 1.0, np.arange(1.0, 5.0))
     assert np.allclose(found[0], np.arctan2(1.0, np.arange(1.0, 5.0)), rtol=1e-14)
     assert np.allclose(found[1], np.sqrt(0.5) / 2, rtol=1e-14)
+
+
+@pytest.mark.parametrize("count", [0, 1, BATCH - 1, BATCH, 2 * BATCH + 3])
+def test_every_row_has_its_own_output(count):
+    x = ca.SX.sym("x", 3)
+    function = RowFunction.compiled("rows", x, ca.vertcat(x[0] * x[1], ca.sin(x[2]), 0.0, x[1]))
+    rows = np.random.default_rng(0).normal(size=(3, count)).T
+    first, second, third = rows.T
+    expected = np.stack([first * second, np.sin(third), 0.0 * first, second], axis=1)
+    np.testing.assert_allclose(function(rows), expected, rtol=1e-15)

@@ -1,9 +1,10 @@
-"""The paper's figure 9: noise on the poses, a trilaterated start, and a relaxation of the graph.
+"""The two readings of the paper's figure 9: errors of estimates over the noise.
 
-Source: Cannata, Denei, Mastrogiovanni (ICRA 2010), eq. 1 and 15, and figure 9. Poses have white
-noise of one level: the body's in every contact, from which eq. 15 trilaterates the start of each
-taxel, and those of both taxels that a displacement is measured between, drawn anew for each. The
-displacements have equal weights. The relaxation and the noise of the rotations are chosen here.
+Source: Cannata, Denei, Mastrogiovanni (ICRA 2010), eq. 1 and 15, and figure 9. In `noisy_poses`,
+poses have white noise of one level: the body's in every contact, from which eq. 15 trilaterates the
+start of each taxel, and those of both taxels that a displacement is measured between, drawn anew
+for each. The displacements have equal weights. The relaxation and the noise of the rotations are
+chosen here. In `noise_sweep`, displacements have noise, and a pose graph is solved.
 """
 
 from __future__ import annotations
@@ -15,15 +16,17 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import se3
-from ..core.arrays import Array, sums_by_group
-from ..core.provenance import random_stream
-from .data.measurements import Measurements
-from .demonstration import TURN, aligned
-from .trilateration import eq15
+from meshskin.core import se3
+from meshskin.core.arrays import Array, sums_by_group
+from meshskin.core.provenance import random_stream
+from meshskin.estimation.data.measurements import Measurements
+from meshskin.estimation.demonstration import aligned, perturbed_graph
+from meshskin.estimation.trilateration import eq15
 
 ITERATIONS = (1, 100, 1000)
 """Iterations after which figure 9 shows the error."""
+TURN = 20.0
+"""Ratio of the noise of rotations to that of displacements, rad/m: 0.02 rad for 1 mm."""
 
 
 @dataclass(frozen=True)
@@ -98,3 +101,44 @@ def relaxed(poses: Array, edges: np.ndarray, measured: Array, iterations: int) -
         u, _, v = np.linalg.svd(middle[:, :3, :3])  # the rotations nearest to the mean matrices
         poses = se3.transform(u @ v, middle[:, :3, 3])
     return poses
+
+
+@dataclass(frozen=True)
+class NoiseSweep:
+    """Figure 9: initial against maximum-likelihood mean position errors, after rigid alignment."""
+
+    sigmas: Array
+    """Noise of the displacements (k,), m."""
+    initial: Array
+    """Mean error (k, seeds) of the start, m: displacements chained from the first taxel."""
+    final: Array
+    """Mean error (k, seeds) of the maximum-likelihood estimate, m; NaN where it is no minimum."""
+
+
+def noise_sweep(
+    poses: Array, pairs: NDArray[np.int64], initial_errors: Array, seeds: int, turn: float = TURN
+) -> NoiseSweep:
+    """Solve graphs whose initial estimates have mean errors `initial_errors` (k,), m.
+
+    The initial estimate chains the displacements along a breadth-first tree from the first taxel.
+    turn, rad/m: ratio of the rotation noise to the displacement noise. The noise of a seed is the
+    same at every level, scaled.
+    """
+    truth = poses[:, :3, 3]
+
+    def case(sigma: float, seed: int) -> tuple[float, float]:
+        rng = random_stream(seed, "figure 9")
+        graph = perturbed_graph(poses, pairs, sigma, turn * sigma, rng)
+        solution = graph.solve(start="tree", keep_iterates=True)
+        assert solution.iterates is not None
+        first, last = (
+            float(np.linalg.norm(aligned(p[:, :3, 3], truth) - truth, axis=1).mean())
+            for p in (solution.iterates[0], solution.poses)
+        )
+        return first, last if solution.is_optimal else float("nan")
+
+    unit = 1e-4
+    gain = np.mean([case(unit, seed)[0] for seed in range(seeds)]) / unit
+    sigmas = np.asarray(initial_errors, dtype=float) / gain
+    errors = np.array([[case(float(s), seed) for seed in range(seeds)] for s in sigmas])
+    return NoiseSweep(sigmas, errors[..., 0], errors[..., 1])

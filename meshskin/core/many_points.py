@@ -1,13 +1,18 @@
-"""CasADi functions of numbers, evaluated at many points at once.
+"""CasADi functions, evaluated at many points at once.
 
-The generated C is inlined into a loop over the points, which the compiler turns into operations on
-vectors of them: five times as fast as calls for one point each. For that nothing in it may branch
-or call a library, so `atan2` is a polynomial here.
+A call of a CasADi function from Python converts its arguments and results entry by entry, which
+takes longer than the function itself. A RowFunction reads and writes the memory of the arrays. The
+generated C of a ColumnFunction is inlined into a loop over the points, which the compiler turns
+into operations on vectors of them: five times as fast as calls for one point each. For that nothing
+in it may branch or call a library, so `atan2` is a polynomial here.
 """
 
 from __future__ import annotations
 
 import ctypes
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,7 +25,8 @@ FLAGS = (
     *codegen.FLAGS, "-fno-trapping-math", "-fvisibility=hidden", *codegen.fma_flags()
 )  # fmt: skip
 BATCH = 256
-"""Points of a call of an interpreted function: they and the results stay in the cache."""
+"""Points of a call of an interpreted function, or of a row function: they and the results stay in
+the processor's cache."""
 POINTS = 1024
 """Points of a call of a compiled one, from which loops are long enough."""
 SOURCE = """
@@ -86,4 +92,40 @@ class ColumnFunction:
             else:
                 y = np.concatenate([np.asarray(row) for row in self._run.call(list(x[:, None]))])
             out[:, rows] = y[:, :number]
+        return out
+
+
+@dataclass(frozen=True)
+class RowFunction:
+    """A function of one vector (n,) with one dense output, of which rows are evaluated."""
+
+    function: ca.Function
+
+    @classmethod
+    def compiled(cls, name: str, x: ca.SX, output: ca.SX) -> RowFunction:
+        """Of an expression `output` of `x`, as machine code if there is a C compiler."""
+        function = ca.Function(name, [x], [ca.densify(output)], {"cse": True})
+        return cls(codegen.compile_function(function))
+
+    @cached_property
+    def _mapped(self) -> ca.Function:
+        return self.function.map(BATCH)
+
+    def __call__(self, rows: Array) -> Array:
+        """The outputs (k, m), each column by column, at rows (k, n)."""
+        x = np.ascontiguousarray(rows, dtype=float)
+        out = np.empty((len(x), self.function.numel_out(0)))
+        whole = len(x) - len(x) % BATCH
+        for function, first, end, step in (
+            (self._mapped if whole else None, 0, whole, BATCH),
+            (self.function, whole, len(x), 1),
+        ):
+            if function is None:
+                continue
+            made: Any = function.buffer()  # CasADi's type stub asks for sizes that it does not take
+            buffer, call = made
+            for begin in range(first, end, step):
+                buffer.set_arg(0, x[begin : begin + step].data)
+                buffer.set_res(0, out[begin : begin + step].data)
+                call()
         return out

@@ -1,0 +1,68 @@
+"""Ids that were exchanged during the recording are named; second contacts anywhere are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.data.gather import gather
+from meshskin.estimation.uncertainty.second_places import findings, second_places
+from tests.estimation.conftest import World, changed
+
+
+@pytest.fixture(scope="module")
+def wide():
+    """A skin whose taxels are up to 50 mm apart."""
+    return World(extent=25e-3)
+
+
+def exchanged(world, recording, share):
+    """The recording with ids reversed among a share of the taxels in its second half."""
+    n = len(world.ids)
+    picked = np.sort(np.random.default_rng(1).choice(n, round(share * n), replace=False))
+    other = world.ids.copy()
+    other[picked] = world.ids[picked][::-1]
+    ids, late = recording.reading_taxel, recording.reading_contact > len(world.points) // 2
+    index = np.searchsorted(world.ids, ids)
+    return changed(recording, taxel=np.where(late, other[index], ids).astype(np.int32))
+
+
+def test_ids_exchanged_in_half_of_the_recording(wide):
+    recording, belief = wide.record(0.01, 0.05), wide.belief(0.01, 0.05)
+    found = calibrate(exchanged(wide, recording, 1.0), belief)
+    off = np.linalg.norm(found.positions - wide.truth, axis=1)
+    assert np.nanmax(off) > 10e-3
+    assert found.verdict.level == "FAIL"
+    assert any("taxels answer strongly at a second place" in why for why in found.verdict.reasons)
+
+
+def test_a_sound_recording_has_no_second_places(wide):
+    data = gather(wide.record(0.01, 0.0), wide.belief(0.01, 0.0))
+    assert len(second_places(data, wide.truth)) == 0
+    assert len(second_places(data, np.full_like(wide.truth, np.nan))) == 0
+
+
+def test_second_contacts_scatter_over_the_body(wide):
+    """Every tenth contact is one of two at the same time: strong readings far from the point."""
+    data = gather(wide.record(0.01, 0.05), wide.belief(0.01, 0.05))
+    rng = np.random.default_rng(2)
+    contact = np.where(
+        rng.random(len(data.contact)) < 0.1,
+        rng.integers(len(data.points), size=len(data.contact)),
+        data.contact,
+    )
+    assert len(second_places(replace(data, contact=contact), wide.truth)) <= 1
+
+
+def test_the_level_is_that_of_the_share_of_taxels(wide):
+    recording, belief = wide.record(0.01, 0.05), wide.belief(0.01, 0.05)
+    sound = calibrate(recording, belief)
+    assert findings(gather(recording, belief), sound) == []
+    few = gather(exchanged(wide, recording, 0.08), belief)
+    level, words = findings(few, sound)[0]
+    taxels = second_places(few, wide.truth)
+    assert 0.02 * len(wide.ids) < len(taxels) <= 0.08 * len(wide.ids)
+    assert level == ("FAIL" if len(taxels) > 0.05 * len(wide.ids) else "DOUBT")
+    assert f"{len(taxels)} of {len(wide.ids)} taxels" in words
+    assert str(wide.ids[taxels[0]]) in words
