@@ -231,12 +231,11 @@ def _force(recording: Recording, scene: Scene) -> ForceResponse:
     motion = recording.motion
     if motion is None:  # contacts that are pressed one by one
         return force_response(recording.time, recording.force, scene.law.force_reference)
-    return force_response(
-        arrow.values(motion.column("time")),
-        arrow.values(motion.column("force")),
-        scene.law.force_reference,
-        motion.column("phase").to_pylist(),
+    time, force, reference = (
+        arrow.values(motion.column(name)) for name in ("time", "force", "reference")
     )
+    full = scene.law.force_reference  # lighter contacts relative to it
+    return force_response(time, full / reference * force, full, motion.column("phase").to_pylist())
 
 
 def _assess(

@@ -24,11 +24,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import contact_design
 import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 import meshskin as ms
-from meshskin.estimation import contact_design
 from meshskin.estimation.adaptive import adapt
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap

@@ -11,7 +11,8 @@ dense samples, independent of the planner). It counts as calibrated if the taxel
 its side is; on a skin only where the skin bridges it by at most --bridge-mm.
 
 The table lists the shares: visible points that fit; fitting points that are calibrated; visible
-points that are calibrated; and the largest error of a calibrated taxel, mm. A figure beside --out
+points that are calibrated; the largest error of a calibrated taxel, mm; and the area, mm^2, of the
+fitting points that are not calibrated, by the reason of the nearest taxel. A figure beside --out
 (skinned.png) has the shares of the visible points.
 """
 
@@ -100,15 +101,20 @@ def measure_mesh(file: Path, options: argparse.Namespace) -> list[dict[str, Any]
             continue
         depth = surface.closest(points).distance
         far = np.abs(depth) - (thickness if kind == "skinned" else 0.0)
-        good = found.at(points, normals) & (far <= 1e-3 * options.bridge_mm)
+        bridged = far > 1e-3 * options.bridge_mm
+        why = np.where(bridged, "bridged", found.reasons_at(points, normals))
+        good, cell = why == "", 1e6 * body.mesh.area / len(points)
         rows.append(
             row
             | {
                 "fit_calibrated": share(good, seen & fits),
                 "visible_calibrated": share(good, seen),
-                "bridged": share(far > 1e-3 * options.bridge_mm, seen),
+                "bridged": share(bridged, seen),
                 "largest_error_mm": found.largest_error,
-                "left_out": found.reasons,
+                "lost_mm2": {
+                    reason: round(cell * count)
+                    for reason, count in Counter(why[seen & fits & ~good].tolist()).most_common(7)
+                },
                 "surface": surface.repairs[-1:] if kind == "skinned" else [],
                 "seconds": process_time() - begin,
             }
@@ -161,18 +167,22 @@ def sphere_fits(
 class Found:
     """What a calibration found of the taxels of a surface."""
 
-    def __init__(self, skin: ms.Skin, calibration: Any, reasons: dict[str, int]) -> None:
-        self._skin, self._good = skin, np.isfinite(calibration.positions[:, 0])
-        self.reasons = reasons
-        error = np.linalg.norm(calibration.positions - skin.positions, axis=1)[self._good]
+    def __init__(self, skin: ms.Skin, calibration: Any, unreachable: dict[str, str]) -> None:
+        good = np.isfinite(calibration.positions[:, 0])
+        reasons = [
+            unreachable.get(str(taxel), f"not determined: {reason}")
+            for taxel, reason in zip(skin.ids, calibration.reasons, strict=True)
+        ]
+        self._skin, self._reasons = skin, np.where(good, "", reasons)
+        error = np.linalg.norm(calibration.positions - skin.positions, axis=1)[good]
         self.largest_error = float(1e3 * error.max(initial=0.0))
 
-    def at(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Whether (n,) the nearest taxel that faces the same way is calibrated."""
+    def reasons_at(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Why (n,) the nearest taxel that faces the same way is not calibrated; "" where it is."""
         near = cKDTree(self._skin.positions).query(points, 8)[1]
         facing = np.einsum("nc,nkc->nk", normals, self._skin.normals[near]) > 0.3
         first = near[np.arange(len(near)), np.argmax(facing, axis=1)]
-        return self._good[first] & facing.any(axis=1)
+        return np.where(facing.any(axis=1), self._reasons[first], "no taxel near")
 
 
 def calibrated(body: ms.Body, radius: float, options: argparse.Namespace) -> Found:
@@ -192,8 +202,7 @@ def calibrated(body: ms.Body, radius: float, options: argparse.Namespace) -> Fou
     )
     recording = ms.simulate(scene, seed=1)
     calibration = ms.calibrate(recording, scene.belief())
-    left = Counter(recording.metadata.get("unreachable", {}).values())
-    return Found(skin, calibration, dict(left.most_common(5)))
+    return Found(skin, calibration, recording.metadata.get("unreachable", {}))
 
 
 def share(of: np.ndarray, among: np.ndarray) -> float:
@@ -209,7 +218,7 @@ def line(row: dict[str, Any]) -> str:
     return (
         f"{head}  calibrated {row['fit_calibrated']:4.0%} of fitting, "
         f"{row['visible_calibrated']:4.0%} of visible ({row['bridged']:.0%} bridged), error up to "
-        f"{row['largest_error_mm']:.3f} mm, {row['seconds']:.0f} s  {row['left_out']}"
+        f"{row['largest_error_mm']:.3f} mm, {row['seconds']:.0f} s  {row['lost_mm2']}"
     )
 
 

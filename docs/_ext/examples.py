@@ -90,7 +90,7 @@ _STUDIES: tuple[tuple[str, str, str, str, tuple[str, ...], str], ...] = (
     ),
     (
         "effects", "Effects and the joint estimate",
-        "--seeds 1 --effects friction hysteresis crosstalk body_pose sampling",
+        "--seeds 1 --effects friction hysteresis body_pose",
         "--out figures/ --full", ("effects.png",), "",
     ),
     (

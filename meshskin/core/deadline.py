@@ -49,7 +49,7 @@ def check_run_seconds(seconds: float, least: float = LEAST_SECONDS) -> None:
         raise StudyError(
             "the time is too short",
             value=f"{seconds:g} s",
-            limit=f"a run takes {least:.2g} s at least",
+            limit=f"a run takes {math.ceil(10 * least - 1e-6) / 10:.3g} s at least",
             remedy="give more seconds",
         )
 

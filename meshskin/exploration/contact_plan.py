@@ -26,8 +26,16 @@ from ..robot.turntable import with_swivel
 from ..scene.scene import Scene
 from .lane_plan import STEP, posture_reasons, reachable_nodes, region_radius
 from .lanes import cover, evenly, spacing_for
-from .left_out import NOT_COVERED, SPARSE, other_contact, taxels_left_out
+from .left_out import (
+    NOT_COVERED,
+    SPARSE,
+    other_contact,
+    served_lighter,
+    still_left_out,
+    taxels_left_out,
+)
 from .path import Path, Plan
+from .pressing import lighter_note, lighter_rigs, pressed_lighter
 
 CONTACTS = 8
 """Contacts per taxel that leave none of them with fewer than left_out.ENOUGH: on the paper's
@@ -38,7 +46,7 @@ def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
     """The contacts on a scene's taxels by a carried indenter, in the order of a short way.
 
     `Plan.contacts` has one row each: the contact point (px, py, pz), m, and outward normal (nx, ny,
-    nz); the pose of the indenter at the reference force, its centre (x, y, z), m, and quaternion
+    nz); the pose of the indenter at its force, its centre (x, y, z), m, and quaternion
     (qw, qx, qy, qz), z from the support to the sphere; the force, N; for an arm its joint angles
     (q1, ...), rad. All are in the body's frame. The plan's path has one row for each contact.
     Raises ReachError where no contact can be made.
@@ -49,11 +57,16 @@ def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
         spacing = float(np.sqrt(spacing_for(rig.sensing_radius, exploration.contacts, 1.0)))
     hit = _on_lanes(rig, sites, spacing, exploration.margin)
     reason = rig.contact_reasons(hit.point, hit.normal)
-    pressed = np.flatnonzero(reason == "")
-    pressed = pressed[nearest_neighbour_order(hit.point[pressed])] if len(pressed) else pressed
-    path, reason[pressed] = _path(scene, rig, hit.take(pressed))
-    blocked, segments = [(hit.point, reason)], [path] if len(path.points) else []
+    segments, blocked = [], [(hit.point, reason)]
+    segments += _pressed(scene, rig, hit, reason, reason == "", scene.law.force_reference)
     left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
+    for force, lighter in lighter_rigs(scene):
+        sites = served_lighter(scene.skin, left_out)
+        if not len(sites):
+            break
+        new = pressed_lighter(lighter, hit.point, hit.normal, reason, sites)
+        segments += _pressed(scene, lighter, hit, reason, new, force)
+        left_out = still_left_out(scene.skin, lighter.sensing_radius, segments, blocked, left_out)
     other = other_contact(scene, left_out)
     if not segments:
         reasons = Counter(left_out.values()).most_common(1)
@@ -62,9 +75,10 @@ def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
             value=f"{len(sites)} taxels",
             remedy=other or "place the arm nearer, or use another part of the body",
         )
-    path = replace(path, unreachable=left_out)
-    notes = tuple(filter(None, (other, _sparse(left_out, spacing))))
-    return Plan(path, spacing, notes, _table(scene, path))
+    path = Path.concatenate(segments)
+    path = replace(path, unreachable=left_out, breaks=tuple(range(1, len(path.points))))
+    words = lighter_note(scene, path), other, _sparse(left_out, spacing)
+    return Plan(path, spacing, tuple(filter(None, words)), _table(scene, path))
 
 
 def _sparse(left_out: dict[int, str], spacing: float) -> str:
@@ -84,6 +98,23 @@ def _on_lanes(rig: ContactRig, sites: Array, spacing: float, margin: float) -> C
     lanes = cover(rig.body, sites, spacing, radius, min(STEP, 0.8 * spacing))
     parts = [evenly(lane.point, spacing, 1) for lane in lanes]
     return rig.body.surface.nearest(np.concatenate(parts) if parts else sites)
+
+
+def _pressed(
+    scene: Scene, rig: ContactRig, hit: Closest, reason: Array, chosen: NDArray[np.bool_],
+    force: float,
+) -> list[Path]:  # fmt: skip
+    """The path over the chosen (k,) contacts that can be made with a force, N; none without any.
+
+    The reasons (k,) of those that cannot are written.
+    """
+    rows = np.flatnonzero(chosen)
+    if not len(rows):
+        return []
+    rows = rows[nearest_neighbour_order(hit.point[rows])]
+    path, reason[rows] = _path(scene, rig, hit.take(rows))
+    count = len(path.points)
+    return [replace(path, forces=np.full(count, force))] if count else []
 
 
 def _path(scene: Scene, rig: ContactRig, hit: Closest) -> tuple[Path, Array]:
@@ -138,13 +169,12 @@ def _table(scene: Scene, path: Path) -> pa.Table:
     """The list of contacts, see `contact_plan`."""
     pose = inverse(path.poses) @ _indenter_pose(scene)
     turn = quaternion(pose[:, :3, :3])[:, [3, 0, 1, 2]]
-    force = np.full((len(pose), 1), scene.law.force_reference)
     columns: dict[tuple[str, ...], Array] = {
         ("px", "py", "pz"): path.points,
         ("nx", "ny", "nz"): path.normals,
         ("x", "y", "z"): pose[:, :3, 3],
         ("qw", "qx", "qy", "qz"): turn,
-        ("force",): force,
+        ("force",): np.asarray(path.forces)[:, None],
     }
     if path.postures is not None:
         columns[tuple(f"q{k + 1}" for k in range(path.postures.shape[1]))] = path.postures

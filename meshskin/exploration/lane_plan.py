@@ -19,10 +19,19 @@ from ..robot import collision, posture
 from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
-from ..scene.settings import Exploration
 from .lanes import cover, spacing_for
-from .left_out import NOT_COVERED, SPARSE, Blocked, other_contact, taxels_left_out, too_wide
+from .left_out import (
+    NOT_COVERED,
+    SPARSE,
+    Blocked,
+    other_contact,
+    served_lighter,
+    still_left_out,
+    taxels_left_out,
+    too_wide,
+)
 from .path import Path, Plan
+from .pressing import grown_runs, lighter_helps, lighter_note, lighter_rigs, pressed_lighter
 from .tour import ContactPath, arm_path, contact_paths, free_path
 
 STEP = 3e-3
@@ -47,10 +56,10 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
     ReachError where nothing can be explored.
     """
     stage = Stage(progress, "explore", 4)
-    exploration, dt = scene.exploration, scene.loop.dt
+    exploration = scene.exploration
     sites, spacing = scene.skin.positions, exploration.lane_spacing
     if exploration.contacts is not None:
-        pitch = exploration.speed * (scene.frame_steps * dt)
+        pitch = exploration.speed * (scene.frame_steps * scene.loop.dt)
         spacing = spacing_for(rig.sensing_radius, exploration.contacts, pitch)
     step = min(STEP, 0.8 * spacing)
     radius = region_radius(sites, exploration.margin, rig.sensing_radius)
@@ -60,13 +69,11 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
     stage.step()
     paths = contact_paths(rig, pieces, spacing, step)
     stage.step()
-    if rig.arm is None:
-        segments = [free_path(rig, path, exploration, dt) for path in paths]
-    else:
-        segments, unreached = _arm_segments(rig, paths, exploration, dt)
-        blocked += unreached
+    segments, unreached = _segments(scene, rig, paths)
+    blocked += unreached
     stage.step()
     left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
+    left_out, forces = _press_lighter(scene, segments, blocked, lanes, left_out, spacing, step)
     wide = too_wide(spacing, rig.sensing_radius)
     left_out = {k: why + wide if why in SPARSE else why for k, why in left_out.items()}
     other = other_contact(scene, left_out)
@@ -80,8 +87,8 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
         )
     notes = collision.arm_capsules(rig.arm).notes if rig.arm else ()
     notes += rig.allowed_collisions.notes if rig.allowed_collisions else ()
-    notes += (other,) if other else ()
-    return Plan(replace(Path.concatenate(segments), unreachable=left_out), spacing, notes)
+    path = replace(Path.concatenate(segments), unreachable=left_out, forces=forces)
+    return Plan(path, spacing, (*notes, *filter(None, (lighter_note(scene, path), other))))
 
 
 def _remedy(why: str, other: str, wide: str) -> str:
@@ -128,8 +135,50 @@ def region_radius(sites: Array, margin: float, sensing_radius: float) -> float:
     return max(margin, min(0.75 * median_spacing(sites), 1.5 * sensing_radius))
 
 
+def _segments(
+    scene: Scene, rig: ContactRig, paths: list[ContactPath]
+) -> tuple[list[Path], list[Blocked]]:
+    """The segments along contact paths, and what an arm cannot reach."""
+    if rig.arm is not None:
+        return _arm_segments(scene, rig, paths)
+    return [free_path(scene, rig, path) for path in paths], []
+
+
+def _press_lighter(
+    scene: Scene, segments: list[Path], blocked: list[Blocked], lanes: list[Closest],
+    left_out: dict[int, str], spacing: float, step: float,
+) -> tuple[dict[int, str], Array | None]:  # fmt: skip
+    """Add segments with lighter contacts where these serve taxels that are left out.
+
+    `blocked` begins with the samples of the lanes, whose reasons are replaced. The taxels that are
+    still left out, and the forces (k,), N, of all segments; None: all of them that of the law.
+    """
+    forces = [scene.law.force_reference] * len(segments)
+    if not lighter_helps(list(left_out.values())).any():
+        return left_out, None
+    whole, reason = Closest.concatenate(lanes), blocked[0][1]
+    ends = np.cumsum([len(piece.point) for piece in lanes])[:-1]
+    for force, rig in lighter_rigs(scene):
+        sites = served_lighter(scene.skin, left_out)
+        if not len(sites):
+            break
+        new = pressed_lighter(rig, whole.point, whole.normal, reason, sites)
+        parts = zip(lanes, np.split(new, ends), np.split(reason == "", ends), strict=True)
+        pieces = [
+            piece.take(run) for piece, at, free in parts for run in grown_runs(at, free, SHORT)
+        ]
+        paths = contact_paths(rig, pieces, spacing, step)
+        made, unreached = _segments(scene, rig, paths)
+        more = [*segments, *made], [*blocked, *unreached]
+        still = still_left_out(scene.skin, rig.sensing_radius, *more, left_out)
+        if len(still) < len(left_out):
+            left_out, forces = still, forces + [force] * len(made)
+            segments[:], blocked[:] = more
+    return left_out, np.array(forces)
+
+
 def _arm_segments(
-    rig: ContactRig, paths: list[ContactPath], exploration: Exploration, dt: float
+    scene: Scene, rig: ContactRig, paths: list[ContactPath]
 ) -> tuple[list[Path], list[Blocked]]:
     """The segments along contact paths that the arm can follow, and what it cannot reach."""
     arm = rig.arm
@@ -155,7 +204,7 @@ def _arm_segments(
         path = paths[k].part(slice(own[0] - first[k], own[-1] + 1 - first[k]))
         spin = np.interp(own, known, chain.spin[begin:end])
         q = chain.q[begin + np.searchsorted(known, own, side="right") - 1]
-        parts = _split(rig, path, tangents[own], spin, q, exploration, dt)
+        parts = _split(scene, rig, path, tangents[own], spin, q)
         segments += parts
         if not parts:
             blocked.append((path.points, np.full(len(path), WINDING, dtype=object)))
@@ -163,23 +212,18 @@ def _arm_segments(
 
 
 def _split(
-    rig: ContactRig, path: ContactPath, tangents: Array, spin: Array, q: Array,
-    exploration: Exploration, dt: float,
-) -> list[Path]:  # fmt: skip
+    scene: Scene, rig: ContactRig, path: ContactPath, tangents: Array, spin: Array, q: Array
+) -> list[Path]:
     """The segment along a contact path, in halves where an endless joint of the chain winds up."""
     if len(path) < SHORT:
         return []
     try:
-        return [arm_path(rig, path, tangents, spin, q[0], exploration, dt)]
+        return [arm_path(scene, rig, path, tangents, spin, q[0])]
     except ReachError:
         middle = len(path) // 2
-    return [
-        segment
-        for half in (slice(0, middle), slice(middle, len(path)))
-        for segment in _split(
-            rig, path.part(half), tangents[half], spin[half], q[half], exploration, dt
-        )
-    ]
+    halves = slice(0, middle), slice(middle, len(path))
+    parts = (_split(scene, rig, path.part(h), tangents[h], spin[h], q[h]) for h in halves)
+    return [segment for part in parts for segment in part]
 
 
 def _sparse_nodes(

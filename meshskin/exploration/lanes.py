@@ -35,7 +35,7 @@ MAX_SPACING = 0.75
 """Largest spacing of lanes, relative to the sensing radius. With wider ones some taxels get only
 the rims of contacts: for the same mean error they need 1.1 times the contacts of close lanes at
 0.75, 1.2 to 1.5 times at 0.85, 2 to 3 times at 0.9 (ellipsoid and capsule, by
-`estimation.contact_design.expected_error`)."""
+studies/contact_design.py)."""
 MAX_FAMILIES = 40
 """Most geodesics that are started in one region: a bound on the time; the studies' bodies need at
 most a dozen."""

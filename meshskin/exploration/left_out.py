@@ -14,6 +14,7 @@ from ..skin.skin import Skin
 from . import reach
 from .lanes import MAX_SPACING
 from .path import Path
+from .pressing import lighter_helps
 
 ENOUGH = 4
 """Fewest contacts near a taxel for it to count as covered: one more than trilateration needs."""
@@ -47,6 +48,23 @@ def too_wide(spacing: float, radius: float) -> str:
     return f": lanes are {apart} apart, contacts felt within {felt}; bring lanes to {least}"
 
 
+def still_left_out(
+    skin: Skin, radius: float, segments: list[Path], blocked: list[Blocked], before: dict[int, str]
+) -> dict[int, str]:
+    """Those of the taxels left out before that are left out with more segments, whose contacts are
+    felt at a smaller radius, m, too."""
+    now = taxels_left_out(skin, radius, segments, blocked)
+    return {taxel: why for taxel, why in now.items() if taxel in before}
+
+
+def served_lighter(skin: Skin, left_out: dict[int, str]) -> Array:
+    """The positions (k, 3), m, of the taxels that were left out and that lighter contacts may
+    serve."""
+    helped = lighter_helps(list(left_out.values()))
+    ids = np.array(list(left_out), dtype=int)[helped]
+    return np.asarray(skin.positions[np.isin(skin.ids, ids)])
+
+
 def other_contact(scene: Scene, left_out: dict[int, str]) -> str:
     """The force or indenter that is recommended where this one is refused near many taxels; ""
     elsewhere.
@@ -68,7 +86,8 @@ def taxels_left_out(
 ) -> dict[int, str]:
     """The reason for each taxel, by id, that the segments do not cover on its own sheet of skin.
 
-    It is the most frequent reason among the blocked points around the taxel.
+    It is the most frequent reason among the blocked points around the taxel. radius, m: distance at
+    which a taxel feels a contact.
     """
     from scipy.spatial import cKDTree
 

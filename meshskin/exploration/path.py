@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 ROWS = ("points", "normals", "poses", "twists", "faces")
 """Fields of a path with one row per sample."""
+SEGMENT_ROWS = ("postures", "forces")
+"""Fields of a path with one row per segment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,38 +56,45 @@ class Path(Value):
     """First row of every segment but the first, in order."""
     postures: Array | None = None
     """Joint angles (len(breaks) + 1, n) at the first pose of each segment, rad; None: no arm."""
+    forces: Array | None = None
+    """Reference force (len(breaks) + 1,) of each segment, N; None: that of the scene's law."""
     unreachable: Mapping[int, str] = field(default_factory=dict)
     """Reason for each taxel (by id) that the path leaves out."""
 
     @classmethod
     def concatenate(cls, segments: Sequence[Path]) -> Path:
         """The path that follows the segments one after the other."""
-        given = [s.postures for s in segments if s.postures is not None]
-        postures = np.concatenate(given) if len(given) == len(segments) else None
+        postures = _joined([s.postures for s in segments])
+        forces = _joined([s.forces for s in segments])
         breaks = tuple(np.cumsum([len(s.points) for s in segments])[:-1].tolist())
         rows: dict[str, Any] = {
             name: np.concatenate([getattr(s, name) for s in segments]) for name in ROWS
         }
-        return cls(segments[0].dt, **rows, breaks=breaks, postures=postures)
+        return cls(segments[0].dt, **rows, breaks=breaks, postures=postures, forces=forces)
 
     @property
     def segments(self) -> list[Path]:
         """The segments, each as a path."""
         found = []
         for k, (first, last) in enumerate(pairwise([0, *self.breaks, len(self.points)])):
-            posture = None if self.postures is None else self.postures[k : k + 1]
-            found.append(Path(self.dt, **self._rows(slice(first, last)), postures=posture))
+            rows = self._rows(slice(first, last)) | self._of_segments(slice(k, k + 1))
+            found.append(Path(self.dt, **rows))
         return found
 
     def _rows(self, rows: slice) -> dict[str, Any]:
         """Some rows of the fields that have one per sample."""
         return {name: getattr(self, name)[rows] for name in ROWS}
 
+    def _of_segments(self, rows: slice) -> dict[str, Any]:
+        """The fields of SEGMENT_ROWS of some segments."""
+        fields = {name: getattr(self, name) for name in SEGMENT_ROWS}
+        return {name: None if value is None else value[rows] for name, value in fields.items()}
+
     def truncated(self, count: int) -> Path:
         """The path's first `count` rows."""
         breaks = tuple(row for row in self.breaks if row < count)
-        postures = None if self.postures is None else self.postures[: len(breaks) + 1]
-        return replace(self, **self._rows(slice(count)), breaks=breaks, postures=postures)
+        rows = self._rows(slice(count)) | self._of_segments(slice(len(breaks) + 1))
+        return replace(self, **rows, breaks=breaks)
 
     def resampled(self, dt: float, body: Body) -> Path:
         """The path at a period `dt`, s, a multiple of its own.
@@ -198,6 +207,12 @@ class Plan(Value, Card, Tabular):
     def headings(self) -> Array:
         """R_w_b (k, 3, 3) along the path."""
         return self.path.poses[:, :3, :3]
+
+
+def _joined(parts: list[Array | None]) -> Array | None:
+    """The rows of all parts; None where one is None."""
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None
 
 
 def time_scaling(cruise: float, ramp: float, dt: float) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from ..geometry.mesh.self_intersection import ray_scene
 from ..scene.scene import Scene
 from ..scene.settings import Law, Loop
 from ..skin.skin import Skin
+from .pressing import lighter_rigs, pressed_lighter
 
 POINTS = 1500
 """Points on the visible surface: a share of a half is known to 1.3 %."""
@@ -41,6 +43,8 @@ BRIDGED = 0.5e-3
 NEARLY = 0.9
 """Share, relative to the largest, that is as good as it."""
 
+SIZE = attrgetter("radius", "force")
+"""What a contact is larger or smaller by."""
 UNDER_SKIN = "under the skin: it bridges the place"
 TOO_WIDE = "no contact model holds anywhere"
 
@@ -95,7 +99,10 @@ def reach(
     """
     check_type(Body, body, "what an indenter reaches")
     check_real("force of a contact", force, "N", above=0.0)
-    _check_radii(radii)
+    if not len(radii):
+        raise ConfigError("no radius of an indenter was given", remedy="give one or more, in m")
+    for radius in radii:
+        check_real("radius of an indenter", radius, "m", above=0.0)
     points, normals = even_points(body)
     seen = visible(body, points, normals)
     if not seen.any():
@@ -123,7 +130,8 @@ def reach(
 
 def contact_reasons(scene: Scene, radius: float, force: float | None = None) -> tuple[float, Array]:
     """The force, N, of an indenter of `radius`, m, and the reason (n,) at each taxel of a scene why
-    no contact is possible, "" where one is: as in a plan, but for the arm.
+    no contact is possible, at this force or a lighter one, "" where one is: as in a plan, but for
+    the arm.
 
     force, N: the scene's if None; less where its patch would be too wide on a plane.
     """
@@ -134,9 +142,14 @@ def contact_reasons(scene: Scene, radius: float, force: float | None = None) -> 
         law=replace(scene.law, force_reference=used),
     )
     try:
-        return used, other.rig.contact_reasons(scene.skin.positions, scene.skin.normals)
+        rig = other.rig
     except ContactError:
         return used, np.full(len(scene.skin), TOO_WIDE, dtype=object)
+    points, normals = scene.skin.positions, scene.skin.normals
+    reason = rig.contact_reasons(points, normals)
+    for _, lighter in lighter_rigs(other):
+        pressed_lighter(lighter, points, normals, reason)
+    return used, reason
 
 
 def other_contacts(scene: Scene) -> tuple[Reach, ...]:
@@ -160,11 +173,7 @@ def recommended(found: Sequence[Reach]) -> Reach:
     A larger one has a wider patch, which presses more taxels at once.
     """
     best = max(one.share for one in found)
-    return max((one for one in found if one.share >= NEARLY * best), key=_size)
-
-
-def _size(one: Reach) -> tuple[float, float]:
-    return one.radius, one.force
+    return max((one for one in found if one.share >= NEARLY * best), key=SIZE)
 
 
 def recommendation(found: Sequence[Reach]) -> str:
@@ -176,20 +185,12 @@ def recommendation(found: Sequence[Reach]) -> str:
     others = [one for one in found if one is not best]
     if not others:
         return text
-    other = max(others, key=_size)
+    other = max(others, key=SIZE)
     if other.radius == best.radius:
         return (
             f"{text} with {best.force:.2g} N instead of {other.share:.0%} with {other.force:.2g} N"
         )
     return f"{text} instead of {other.share:.0%} with {1e3 * other.radius:g} mm"
-
-
-def _check_radii(radii: Sequence[float]) -> None:
-    """Raise ConfigError for no radius, or one that is not positive."""
-    if not len(radii):
-        raise ConfigError("no radius of an indenter was given", remedy="give one or more, in m")
-    for radius in radii:
-        check_real("radius of an indenter", radius, "m", above=0.0)
 
 
 def even_points(body: Body) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ from ..core.se3 import log_so3
 from ..geometry.geodesics import rotate_about, transport_along
 from ..geometry.surface.closest_point import Closest
 from ..robot.contact_rig import ContactRig
+from ..scene.scene import Scene
 from ..scene.settings import Exploration
 from .path import Path, body_twists, time_scaling
 
@@ -136,22 +137,15 @@ def _concatenated(legs: list[Closest]) -> ContactPath:
     return ContactPath(whole.point, whole.normal, (0, *(int(k) for k in stops)))
 
 
-def free_path(rig: ContactRig, path: ContactPath, exploration: Exploration, dt: float) -> Path:
-    """The path over one contact path of a body without an arm, every `dt` s."""
-    joints = np.zeros((len(path), 0))
-    return _path(rig, path, transport_along(path.normals), joints, None, exploration, dt)
+def free_path(scene: Scene, rig: ContactRig, path: ContactPath) -> Path:
+    """The path over one contact path of a body without an arm, a row a step of the loop."""
+    return _path(scene, rig, path, transport_along(path.normals), np.zeros((len(path), 0)))
 
 
 def arm_path(
-    rig: ContactRig,
-    path: ContactPath,
-    tangents: Array,
-    spin: Array,
-    posture: Array,
-    exploration: Exploration,
-    dt: float,
+    scene: Scene, rig: ContactRig, path: ContactPath, tangents: Array, spin: Array, posture: Array
 ) -> Path:
-    """The path over one contact path that an arm follows from a posture (n,), every `dt` s.
+    """The path over one contact path that an arm follows from a posture (n,), a row a step.
 
     tangents (k, 3): headings at spin 0; spin (k,), rad, is smoothed as far as the joints allow.
     Raises ReachError.
@@ -166,25 +160,18 @@ def arm_path(
             q, held = rig.follow(poses, posture)
             if held is not poses:
                 headings = rig.headings(held)
-            return _path(rig, path, headings, q, q[:1], exploration, dt)
+            return _path(scene, rig, path, headings, q)
         except ReachError as error:
             reason = error
     raise reason
 
 
-def _path(
-    rig: ContactRig,
-    path: ContactPath,
-    headings: Array,
-    q: Array,
-    posture: Array | None,
-    exploration: Exploration,
-    dt: float,
-) -> Path:
+def _path(scene: Scene, rig: ContactRig, path: ContactPath, headings: Array, q: Array) -> Path:
     """The path in time over samples with headings (k, 3) and joint angles (k, n)."""
     from scipy.interpolate import PchipInterpolator, make_interp_spline
     from scipy.ndimage import gaussian_filter1d
 
+    exploration, dt = scene.exploration, scene.loop.dt
     slowness, length = _slowness(rig, path, headings, q, exploration)
     rows = np.concatenate([path.points, headings], axis=1)
     parts = [rows[:1]]
@@ -203,6 +190,7 @@ def _path(
     tangents -= np.einsum("ij,ij->i", tangents, normals)[:, None] * normals
     tangents /= np.linalg.norm(tangents, axis=1)[:, None]
     poses = rig.poses(centres, normals, tangents)
+    posture = q[:1] if q.size else None
     if posture is not None:
         poses = rig.held_poses(poses, posture[0])
     twists = body_twists(poses, dt)

@@ -154,9 +154,7 @@ class ClosedLoopDynamics:
             stiffness=stiffness,
             unlimited=unlimited,
             memory=shift_memory(memory, contact),
-            output=ca.vertcat(
-                contact.point, contact.normal, contact.force, contact.depth, contact.radius, torque
-            ),
+            output=ca.vertcat(contact.output, torque),
         )
 
     def friction(self, qdot: ca.SX) -> ca.SX:

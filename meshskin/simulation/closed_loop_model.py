@@ -67,8 +67,9 @@ class Parameters:
 
 PARAMETERS = len(fields(Parameters))
 """Number of parameters of a step."""
-APPROACH_SPEED = [f.name for f in fields(Parameters)].index("approach_speed")
-"""Index of the approach speed among the parameters."""
+_NAMES = [f.name for f in fields(Parameters)]
+FORCE_REFERENCE, APPROACH_SPEED = map(_NAMES.index, ("force_reference", "approach_speed"))
+"""Indices among the parameters of those that change during a run."""
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,8 @@ def contact_frames(
 ) -> Frames:
     """The contacts at the times when the skin is read, among consecutive steps.
 
-    before: number of steps of the run before these. Contacts outside the contact model's range are
-    left out: what the skin would read is not known.
+    before: number of steps of the run before these. Contacts that are outside the contact model's
+    range at their own force are left out: what the skin would read is not known.
     """
     outputs, rows = np.concatenate([s.outputs for s in batch]), loop.outputs
     frame = (before + np.arange(len(outputs))) % scene.frame_steps == 0
@@ -53,7 +53,13 @@ def contact_frames(
         centres=points + (scene.indenter.radius - outputs[:, rows["depth"]]) * normals,
         q=np.concatenate([s.q for s in batch])[frame],
     )
-    return frames.rows(scene.invalid_reasons(frames.curvature) == "")
+    valid = scene.model.is_valid(
+        force=frames.force,
+        curvature=frames.curvature,
+        indenter_radius=scene.indenter.radius,
+        effective_modulus=scene.material.effective_modulus,
+    )
+    return frames.rows(np.asarray(valid))
 
 
 def make_frames(

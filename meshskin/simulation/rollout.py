@@ -46,6 +46,8 @@ class Steps:
     """(k, m), see ClosedLoopModel.outputs."""
     phase: int
     """Phase of the exploration, an index of state_machine.PHASES."""
+    reference: float
+    """Reference contact force, N."""
     readings: Array | None = None
     """Point pressures (k, taxels), Pa, where they were asked for."""
 

@@ -225,7 +225,9 @@ def run(
 ) -> Iterator[Steps]:
     """Run the closed loop over the path. Yields the steps as they are made."""
     tracks = [Track.of(segment, scene.body.surface) for segment in path.segments]
-    machine = ExplorationStateMachine(simulator, tracks, scene.exploration, path.postures)
+    machine = ExplorationStateMachine(
+        simulator, tracks, scene.exploration, path.postures, path.forces
+    )
     for steps in machine.run():
         yield steps
         if progress is not None:
@@ -281,7 +283,7 @@ def _motion_table(scene: Scene, loop: ClosedLoopModel, batch: Sequence[Steps]) -
         "time": time,
         "phase": pa.DictionaryArray.from_arrays(arrow.column(phase), arrow.texts(PHASES)),
         "force": outputs[:, rows["force"].start],
-        "reference": np.full(len(time), scene.law.force_reference),
+        "reference": np.repeat([s.reference for s in batch], [len(s.time) for s in batch]),
         "depth": outputs[:, rows["depth"].start],
     }
     names = [f"q{k + 1}" for k in range(loop.joints)] or BODY_COLUMNS

@@ -14,7 +14,13 @@ from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
 from ..robot.collision import EDGE_COSINE
 from . import transfer
-from .closed_loop_model import APPROACH_SPEED, REFERENCE, ClosedLoopModel, flat_anchor
+from .closed_loop_model import (
+    APPROACH_SPEED,
+    FORCE_REFERENCE,
+    REFERENCE,
+    ClosedLoopModel,
+    flat_anchor,
+)
 from .integrators import step
 from .machine_code import machine_code
 from .point_readings import PointReadings
@@ -84,6 +90,8 @@ class Simulator:
     def reset(self) -> None:
         """Return to the start, at rest."""
         self.steps, self.seconds = 0, 0.0
+        self.force_reference = self.loop.law.force_reference
+        """Reference contact force of the next steps, N."""
         self.saturated = np.zeros(self.loop.joints, dtype=int)
         """Steps (n,) at which each joint's torque was at its limit."""
         self.relocations = 0
@@ -119,6 +127,7 @@ class Simulator:
         short = until_touch or self._off_path
         track = track[: self.rollout.lengths[0 if short else 1]]
         placed = self._placed(track)
+        self._parameters[FORCE_REFERENCE] = self.force_reference
         self._parameters[APPROACH_SPEED] = speed_fraction * self.loop.law.approach_speed
         self._parameters[-1] = track_normal
         try:
@@ -137,7 +146,7 @@ class Simulator:
             self._rejoin(int(track.faces[count - 1]))
         readings = None if self.readings is None else self.readings(outputs)
         self.seconds += perf_counter() - started
-        return Steps(time, q, outputs, phase, readings)
+        return Steps(time, q, outputs, phase, self.force_reference, readings)
 
     def is_clear(self, poses: Array, leaving: bool = False) -> bool:
         """Whether the body at T_w_b (k, 4, 4) nowhere meets the indenter.
@@ -172,7 +181,7 @@ class Simulator:
         time = self._times(len(q))
         self.steps += len(q)
         self.state[:], self.face, self._off_path = states[-1], int(hit.face[-1]), True
-        return Steps(time, q, outputs, phase)
+        return Steps(time, q, outputs, phase, self.force_reference)
 
     def _placed(self, track: Track) -> Track:
         """The track as it is run: over the simulator's face while off the path, else from there."""

@@ -59,11 +59,14 @@ class ExplorationStateMachine:
         tracks: Sequence[Track],
         exploration: Exploration,
         postures: Array | None = None,
+        forces: Array | None = None,
     ) -> None:
         self.simulator, self.tracks, self.exploration = simulator, tracks, exploration
         self.postures = postures
         """Joint angles (places, n) at the first row of each track, taken before in the air; None:
         no arm."""
+        self.forces = forces
+        """Reference force (places,), N; None: that of the law."""
         self.place, self.row = 0, 0
         self.phase = APPROACH
         self.skips = 0
@@ -104,6 +107,8 @@ class ExplorationStateMachine:
                     self.skipped_rows += len(track)
                     continue
             last = track
+            if self.forces is not None:
+                simulator.force_reference = float(self.forces[place])
             while self.row < len(track):
                 try:
                     yield from self._make_contact(track)
@@ -160,7 +165,7 @@ class ExplorationStateMachine:
             steps = self._press(rest[:remaining], first)
             yield steps
             remaining -= len(steps.time)
-            if abs(self._force(steps)[-1] / loop.law.force_reference - 1.0) < SETTLED:
+            if abs(self._force(steps)[-1] / simulator.force_reference - 1.0) < SETTLED:
                 self.phase = HOLD
 
     def _press(self, rest: Track, first: int, until_touch: bool = False) -> Steps:
@@ -213,17 +218,15 @@ class ExplorationStateMachine:
         low, high = reference_poses(track.references[-1]), self._above(track.references[-1])
         poses = _blend(low, high, dt)
         if not simulator.loop.arm.holds_any_pose:
-            poses = self._held(poses)
+            # turned about the indenter's axis as the arm must
+            poses = simulator.loop.body_poses(
+                simulator.loop.follow(poses, simulator.state[: simulator.size])
+            )
         motion, self.phase = Track.through(poses, dt, simulator.face), LEAVE
         while len(motion):
             steps = simulator.advance(motion, LEAVE, track_normal=True)
             yield steps
             motion = motion[len(steps.time) :]
-
-    def _held(self, poses: Array) -> Array:
-        """The poses (k, 4, 4) turned about the indenter's axis as the arm must, from its joints."""
-        loop, q = self.simulator.loop, self.simulator.state[: self.simulator.size]
-        return loop.body_poses(loop.follow(poses, q))
 
     def _float(self, goal: Array) -> Iterator[Steps]:
         """Without an arm: up, as far as turning needs, and over to `goal` (4, 4), in the air.

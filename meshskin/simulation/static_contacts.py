@@ -80,11 +80,13 @@ def press(
 
 
 def press_path(scene: Scene, path: Path, seed: int, chain: EffectPipeline | None) -> Recording:
-    """The recording of one contact at the reference force at each row of a path.
+    """The recording of one contact at each row of a path, at the path's forces.
 
     The body's orientations are those of the path's poses; otherwise as `press`.
     """
-    forces = np.full(len(path.points), scene.law.force_reference)
+    forces = path.forces
+    if forces is None:
+        forces = np.full(len(path.points), scene.law.force_reference)
     frames = _static_frames(scene, scene.body.closest(path.points), forces, path.poses[:, :3, :3])
     return _record(scene, frames, chain or effect_pipeline(scene, seed), seed)
 

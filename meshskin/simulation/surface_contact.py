@@ -58,6 +58,11 @@ class SurfaceContact:
         """dF/d(depth), N/m; zero without contact."""
         return self.slope_at(ca.fmax(self.depth, MIN_DEPTH)) * (self.depth > 0)
 
+    @property
+    def output(self) -> ca.SX:
+        """The part of a step's output that is of the contact; see ClosedLoopModel.outputs."""
+        return ca.vertcat(self.point, self.normal, self.force, self.depth, self.radius)
+
     def force_at(self, depth: ca.SX) -> ca.SX:
         """The force, N, at another depth, m."""
         return self.model.force(depth=depth, **self._geometry)

@@ -209,9 +209,12 @@ def test_no_slide_leads_through_a_thin_plate():
         exploration=LANES,
         loop=replace(base.loop, mode="quasi_static"),
     )
-    segments = plan_exploration(scene).segments
+    path = plan_exploration(scene).path
+    segments = path.segments
     sides = [np.sign(segment.points[[0, -1], 2]) for segment in segments]
     assert {-1.0, 1.0} == set(np.ravel(sides))
     for segment in segments:
         assert np.ptp(np.sign(segment.points[:, 2])) == 0
-    assert np.count_nonzero(np.diff(np.ravel(sides))) == 1  # one side after the other
+    for force in np.unique(path.forces):  # one side after the other
+        own = [side for side, at in zip(sides, path.forces, strict=True) if at == force]
+        assert np.count_nonzero(np.diff(np.ravel(own))) == 1

@@ -150,5 +150,5 @@ def test_values_out_of_range(radii, word):
 def test_smaller_indenters_reach_more_of_an_icub_forearm():
     (file,) = DATA.glob("icub_body/meshes/sim_sea_2-5_l_forearm_prt-binary.stl")
     found = ms.reach(ms.Body.load(file, units="mm", open=True), (2e-3, 4e-3, 8e-3))
-    assert found[0].share > found[1].share > 2 * found[2].share > 0.2
+    assert found[0].share > found[1].share > found[2].share > 0.4
     assert module.recommended(found).radius == 2e-3

@@ -67,6 +67,8 @@ def test_a_time_in_which_no_run_can_end_is_refused_at_once(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
     with pytest.raises(StudyError, match=r"a run takes 7\.1 s at least"):
         check_run_seconds(7.0, 7.1)
+    with pytest.raises(StudyError, match=r"got 2 s, limit: a run takes 2\.1 s at least"):
+        check_run_seconds(2.0, 2.04)
 
 
 def test_a_first_run_that_takes_all_the_time_is_refused(noisy):

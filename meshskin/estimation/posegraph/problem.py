@@ -81,7 +81,7 @@ class PoseGraphProblem:
         self._last: tuple[Array, float, Array] | None = None
         """x, cost and gradient of the last evaluation, which IPOPT asks for again."""
         self._build(6 * len(self.free), EDGE * len(edges) + 3)
-        self._solvers: dict[tuple[tuple[str, object], ...], BufferedFunction] = {}
+        self._solvers: dict[tuple[float, int], BufferedFunction] = {}
         self._linear_solver = IpoptLinearSolver(cholesky, self.free, anchors)
 
     def solve(
@@ -96,37 +96,19 @@ class PoseGraphProblem:
         `tolerance` is in units of the parameters. `watch` gets x at the start and after each
         iteration, and may raise.
         """
-        gauss_newton = bool(parameters[-1] == 0.0)
+        size, gauss_newton = 6 * len(self.free), bool(parameters[-1] == 0.0)
+        callback = None if watch is None else IterationCallback(size, 0, lambda x, g: watch(x))
+        unbounded = np.full(size, np.inf)
         # one thread at a time: graphs of a topology share the problem
         with self._linear_solver.activate(similar=gauss_newton):
-            return self._run(parameters, tolerance, limit, watch)
-
-    def _run(
-        self,
-        parameters: Array,
-        tolerance: float,
-        limit: int,
-        watch: Callable[[Array], None] | None,
-    ) -> IpoptResult:
-        size, callback = 6 * len(self.free), None
-        options: dict[str, object] = {"max_iter": limit, "tol": tolerance}
-        key = tuple(options.items())
-        if watch is not None:
-            callback = IterationCallback(size, 0, lambda x, g: watch(x))
-            run = BufferedFunction(self._solver(options, callback))
-        elif key in self._solvers:
-            run = self._solvers[key]
-        else:
-            run = self._solvers[key] = BufferedFunction(self._solver(options))
-        unbounded = np.full(size, np.inf)
-        self._last = None  # the parameters change
-        x = run(np.zeros(size), parameters, -unbounded, unbounded)[0]
-        if callback is not None:
-            callback.check()
-        stats = run.stats()
-        cost, gradient = self._gradient(x, parameters)
-        values = np.empty(self._assembly.size)
-        self._hessian(x, parameters, values)
+            run = self._solver(tolerance, limit, callback)
+            self._last = None  # the parameters change
+            x = run(np.zeros(size), parameters, -unbounded, unbounded)[0]
+            if callback is not None:
+                callback.check()
+            stats = run.stats()
+            cost, gradient = self._gradient(x, parameters)
+            values = self._hessian(x, parameters)
         product = functools.partial(self._assembly.multiply, values)
         decrease = 0.5 * inverse_quadratic_form(product, self._assembly.diagonal(values), gradient)
         return IpoptResult(x, cost, decrease, stats["iter_count"], stats["return_status"])
@@ -139,8 +121,7 @@ class PoseGraphProblem:
 
     def hessian(self, parameters: Array) -> SymmetricBlocks:
         """The Hessian at x = 0; anchors have a diagonal block of typical size."""
-        values = np.empty(self._assembly.size)
-        self._hessian(np.zeros(6 * len(self.free)), parameters, values)
+        values = self._hessian(np.zeros(6 * len(self.free)), parameters)
         lower = SymmetricBlocks.from_lower_triangle(self._assembly.matrix(values).T, 6)
         typical = self._assembly.diagonal(values).reshape(-1, 6).max(axis=0, initial=0.0)
         own = np.diag(np.where(typical > 0, typical, 1.0))
@@ -159,10 +140,12 @@ class PoseGraphProblem:
             self._last = np.array(x), cost, gradient
         return self._last[1:]
 
-    def _hessian(self, x: Array, parameters: Array, values: Array) -> None:
-        """Write the nonzeros of the upper triangle to `values`."""
+    def _hessian(self, x: Array, parameters: Array, values: Array | None = None) -> Array:
+        """The nonzeros of the upper triangle, written to `values` if they are given."""
+        values = np.empty(self._assembly.size) if values is None else values
         edges, scale, blend = _unpack(parameters)
         self._assembly.hessian(edges, scale, blend, x, values)
+        return values
 
     def _build(self, size: int, parameters: int) -> None:
         one, none = ca.Sparsity.dense(1), ca.Sparsity(0, 1)
@@ -190,16 +173,21 @@ class PoseGraphProblem:
         self._nlp: dict[str, Any] = {"x": x, "p": p, "f": self._f(x, p)}
 
     def _solver(
-        self, options: dict[str, object], callback: IterationCallback | None = None
-    ) -> ca.Function:
-        return solver(
-            "posegraph",
-            self._nlp,
-            {**IPOPT_OPTIONS, **self._linear_solver.options, **options},
-            gradient=self._grad_f,
-            hessian=self._hess_lag,
-            callback=callback,
-        )
+        self, tolerance: float, limit: int, callback: IterationCallback | None
+    ) -> BufferedFunction:
+        """IPOPT; without a callback it is kept for these options."""
+        if callback is None and (tolerance, limit) in self._solvers:
+            return self._solvers[tolerance, limit]
+        options = {"max_iter": limit, "tol": tolerance, **self._linear_solver.options}
+        made = BufferedFunction(
+            solver(
+                "posegraph", self._nlp, {**IPOPT_OPTIONS, **options}, gradient=self._grad_f,
+                hessian=self._hess_lag, callback=callback,
+            )
+        )  # fmt: skip
+        if callback is None:
+            self._solvers[tolerance, limit] = made
+        return made
 
 
 def pack_parameters(edges: Array, scale: Array, blend: float) -> Array:

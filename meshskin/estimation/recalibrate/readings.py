@@ -16,7 +16,6 @@ from ...core.errors import CalibrationError
 from ...recording.recording import Recording
 from ...scene.belief import RAW
 from ..calibration import Calibration
-from ..cross_validation import recorded_belief as raw_belief
 from ..data.gather import gather
 from ..data.measurements import Measurements
 from ..data.raw_readings import quantum
@@ -34,13 +33,6 @@ MIN_READINGS = 8
 CONTACTS_PER_TAXEL = 5
 """Contacts per taxel that are used at most, evenly chosen: neighbouring frames of a sweep share
 their errors and say little more."""
-
-
-def recorded_belief(previous: Calibration | Skin) -> Belief | None:
-    """The belief of the map in the unit of its readings; None where it has none."""
-    if not isinstance(previous, Calibration) or previous.belief is None:
-        return None
-    return raw_belief(previous)
 
 
 def read(

@@ -20,6 +20,7 @@ from ...core.errors import CalibrationError
 from ...core.progress import Progress, Stage
 from ...recording.recording import Recording
 from ..calibration import Calibration
+from ..cross_validation import recorded_belief
 from . import errors as error_model
 from .errors import Errors
 from .evidence import Change, Evidence, is_placed, judge
@@ -34,7 +35,7 @@ from .hypotheses import (
     Hypothesis,
     unchanged,
 )
-from .readings import read, recorded_belief
+from .readings import read
 from .result import Finding, Recalibration, updated
 from .skin_map import SIGMA, SkinMap, skin_map
 from .touches import Touches
@@ -74,12 +75,12 @@ def recalibrate(
     check_type(Recording, recording, "what an earlier map is tested by")
     check_real("false_alarm", false_alarm, above=0.0, most=0.5, error=CalibrationError)
     if belief is None:
+        if not isinstance(previous, Calibration) or previous.belief is None:
+            raise CalibrationError(
+                "a skin or a loaded calibration does not know the scene",
+                remedy="give recalibrate a belief",
+            )
         belief = recorded_belief(previous)
-    if belief is None:
-        raise CalibrationError(
-            "a skin or a loaded calibration does not know the scene",
-            remedy="give recalibrate a belief",
-        )
     known = skin_map(previous, belief, sigma)
     touches = read(recording, belief, known, previous)
     limit = float(np.log(len(known.units) / false_alarm))

@@ -190,8 +190,10 @@ def updated(
 ) -> Calibration:
     """The calibration with the taxels of changed units at their new places, and faults named."""
     poses, covariance = known.poses.copy(), known.covariance.copy()
-    gain, faults = known.log_gain.copy(), np.full(len(known.ids), "", dtype=object)
+    gain, n = known.log_gain.copy(), len(known.ids)
+    faults, touched = np.full(n, "", dtype=object), np.zeros(n, dtype=bool)
     for rows, evidence in zip(known.units, found, strict=True):
+        touched[rows] = evidence.touched
         for change in evidence.changes:
             h = change.hypothesis
             mine = rows if h.taxel < 0 else rows[h.taxel : h.taxel + 1]
@@ -221,10 +223,6 @@ def updated(
         gain = gain if base is None else gain / amplification(base)
         taxel_unknowns["gain"] = np.stack([gain, spread], axis=1)
     made = FACTOR.format(contacts, len(findings))
-    n = len(known.ids)
-    touched = np.zeros(n, dtype=bool)
-    for rows, evidence in zip(known.units, found, strict=True):
-        touched[rows] = evidence.touched
     if base is None:
         return Calibration(
             ids=known.ids, poses=poses, covariances=six,

@@ -21,6 +21,11 @@ NAMES = ["state", "reference", "anchor", "parameters"], ["next", "output"]
 """Names of a step function's inputs and outputs."""
 
 
+def step_function(inputs: list[ca.SX], after: ca.SX, output: ca.SX) -> ca.Function:
+    """The function of a step from its expressions."""
+    return ca.Function("step", inputs, [after, output], *NAMES, {"cse": True})
+
+
 @cached_by_content
 def step(loop: ClosedLoopModel) -> ca.Function:
     """The step of the loop's integrator; of "quasi_static" in the mode of that name."""

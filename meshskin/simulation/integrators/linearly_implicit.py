@@ -17,7 +17,7 @@ import casadi as ca
 from ..closed_loop_dynamics import ClosedLoopDynamics, DynamicsTerms
 from ..closed_loop_model import ClosedLoopModel
 from ..law import Factor
-from . import NAMES
+from . import step_function
 
 
 def step(loop: ClosedLoopModel) -> ca.Function:
@@ -31,13 +31,8 @@ def step(loop: ClosedLoopModel) -> ca.Function:
     # Sherman-Morrison formula for the part of rank one
     dv = x[:, 0] - x[:, 1] * (ca.dot(b, x[:, 0]) / (1.0 + ca.dot(b, x[:, 1])))
     after = qdot + dv
-    return ca.Function(
-        "step",
-        [state, *dynamics.inputs],
-        [ca.vertcat(q + h * after, after, now.contact_state), now.output],
-        *NAMES,
-        {"cse": True},
-    )
+    state_after = ca.vertcat(q + h * after, after, now.contact_state)
+    return step_function([state, *dynamics.inputs], state_after, now.output)
 
 
 def _damped_solve(loop: ClosedLoopModel, now: DynamicsTerms, gain: ca.SX, right: ca.SX) -> ca.SX:

@@ -13,7 +13,7 @@ from ...core.se3 import casadi_rotation
 from .. import law as compliance
 from ..closed_loop_model import ANCHOR, PARAMETERS, REFERENCE, ClosedLoopModel, Parameters
 from ..surface_contact import delayed_reading, shift_memory, surface_contact
-from . import NAMES
+from . import NAMES, step_function
 
 
 def step(loop: ClosedLoopModel) -> ca.Function:
@@ -41,14 +41,5 @@ def step(loop: ClosedLoopModel) -> ca.Function:
     rate = 0.5 * ca.vertcat(-ca.dot(turn[1:], omega), turn[0] * omega + ca.cross(omega, turn[1:]))
     turned = turn + p.dt * rate
     turned /= ca.norm_2(turned)
-    after = (position + p.dt * velocity, turned, shift_memory(memory, contact))
-    return ca.Function(
-        "step",
-        inputs,
-        [
-            ca.vertcat(*after, contact.u, contact.v),
-            ca.vertcat(contact.point, contact.normal, contact.force, contact.depth, contact.radius),
-        ],
-        *NAMES,
-        {"cse": True},
-    )
+    moved = (position + p.dt * velocity, turned, shift_memory(memory, contact))
+    return step_function(inputs, ca.vertcat(*moved, contact.u, contact.v), contact.output)

@@ -9,7 +9,7 @@ import casadi as ca
 
 from ..closed_loop_dynamics import ClosedLoopDynamics
 from ..closed_loop_model import ClosedLoopModel
-from . import NAMES
+from . import step_function
 
 STAGES = ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0))
 """Time of each stage, in steps, and its weight times 6: a stage starts from the slope of the one
@@ -35,5 +35,4 @@ def step(loop: ClosedLoopModel) -> ca.Function:
         first = first or now
     assert first is not None
     after = ca.vertcat(q + h * mean_speed, qdot + h * mean_acceleration, first[1])
-    inputs = [state, *dynamics.inputs]
-    return ca.Function("step", inputs, [after, first[2]], *NAMES, {"cse": True})
+    return step_function([state, *dynamics.inputs], after, first[2])

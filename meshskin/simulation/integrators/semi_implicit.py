@@ -11,7 +11,7 @@ import casadi as ca
 
 from ..closed_loop_dynamics import ClosedLoopDynamics
 from ..closed_loop_model import ClosedLoopModel
-from . import NAMES
+from . import step_function
 
 
 def step(loop: ClosedLoopModel) -> ca.Function:
@@ -22,10 +22,5 @@ def step(loop: ClosedLoopModel) -> ca.Function:
     state, q, qdot, contact_state = dynamics.state()
     now, h = dynamics.at(q, qdot, contact_state), dynamics.p.dt
     after = qdot + h * now.acceleration
-    return ca.Function(
-        "step",
-        [state, *dynamics.inputs],
-        [ca.vertcat(q + h * after, after, now.contact_state), now.output],
-        *NAMES,
-        {"cse": True},
-    )
+    state_after = ca.vertcat(q + h * after, after, now.contact_state)
+    return step_function([state, *dynamics.inputs], state_after, now.output)

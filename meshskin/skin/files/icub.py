@@ -84,23 +84,18 @@ def write(skin: SkinRows) -> str:
         representative[ids] = centre + CENTRE
         for pad in THERMAL:
             representative[centre + pad] = NO_TAXEL
+    texts = ["0"] * count
+    for taxel, text in zip(ids.tolist(), skin.sigma_texts(), strict=True):
+        texts[taxel] = text or "0"
     lines = [
         f"name\t{skin.link}",
         "spatial_sampling\ttaxel",
         f"taxel2Repr ( {' '.join(map(str, representative.tolist()))} )",
-        *([] if skin.sigmas is None else [_sigma_line(skin, count)]),
+        *([] if skin.sigmas is None else [f"sigma_m ( {' '.join(texts)} )"]),
         "[calibration]",
     ]
     lines += [" ".join(f"{value:.9f}" for value in row) for row in rows.tolist()]
     return "\n".join(lines) + "\n"
-
-
-def _sigma_line(skin: SkinRows, count: int) -> str:
-    """The entry of the sigmas, m, one for each of `count` slots; 0 where unknown."""
-    texts = ["0"] * count
-    for taxel, text in zip(skin.ids.tolist(), skin.sigma_texts(), strict=True):
-        texts[taxel] = text or "0"
-    return f"sigma_m ( {' '.join(texts)} )"
 
 
 def _is_packed(rows: Array) -> bool:

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
+import contact_design
 import numpy as np
 import pytest
 
 import meshskin as ms
 from meshskin.core.errors import CalibrationError
-from meshskin.estimation import contact_design
 from meshskin.estimation.uncertainty import metrics
 from meshskin.estimation.uncertainty.observability import mean_distance
 from meshskin.geometry.region import Cap

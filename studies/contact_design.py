@@ -21,13 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.arrays import Array
-from ..core.errors import CalibrationError
-from ..geometry.body import Body
-from ..scene.belief import Belief
-from . import chart
-from .next_contact import expected_slopes
-from .uncertainty.observability import mean_distance
+from meshskin.core.arrays import Array
+from meshskin.core.errors import CalibrationError
+from meshskin.estimation import chart
+from meshskin.estimation.next_contact import expected_slopes
+from meshskin.estimation.uncertainty.observability import mean_distance
+from meshskin.geometry.body import Body
+from meshskin.scene.belief import Belief
 
 PITCH = 1.0 / 30.0
 """Distance of the candidates, in reaches of a contact: the optimal error changes by its square."""
