@@ -162,6 +162,7 @@ def _press_lighter(
         sites = served_lighter(scene.skin, left_out)
         if not len(sites):
             break
+        before = reason.copy()
         new = pressed_lighter(rig, whole.point, whole.normal, reason, sites)
         parts = zip(lanes, np.split(new, ends), np.split(reason == "", ends), strict=True)
         pieces = [
@@ -174,6 +175,8 @@ def _press_lighter(
         if len(still) < len(left_out):
             left_out, forces = still, forces + [force] * len(made)
             segments[:], blocked[:] = more
+        else:  # a still lighter contact may have room where this one found too little
+            reason[:] = before
     return left_out, np.array(forces)
 
 
