@@ -115,6 +115,14 @@ def test_what_a_force_serves_too_little_is_left_to_the_next_one(dented, monkeypa
     assert set(plan.path.forces) == {3.0, 0.75}
 
 
+def test_what_keeps_lighter_contacts_from_a_taxel_is_named(dented):
+    """An arm that meets the support in the dent: no force is light enough."""
+    plan = plan_exploration(dented.with_(loop=replace(dented.loop, mode="arm")))
+    assert len(plan.unreachable) > 10
+    assert not lighter_helps(list(plan.unreachable.values())).any()
+    assert "collision: the arm meets the indenter's support" in plan.unreachable.values()
+
+
 def test_forces_of_a_part_of_a_path(dented):
     path = plan_exploration(dented).path
     assert [float(s.forces[0]) for s in path.segments] == path.forces.tolist()
