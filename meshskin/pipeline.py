@@ -230,12 +230,13 @@ def _force(recording: Recording, scene: Scene) -> ForceResponse:
     """The response of the contact force in a simulated recording."""
     motion = recording.motion
     if motion is None:  # contacts that are pressed one by one
-        return force_response(recording.time, recording.force, scene.law.force_reference)
+        planned = np.array(recording.metadata.get("forces_n", [scene.law.force_reference]))
+        nearest = np.argmin(np.abs(recording.force[:, None] - planned), axis=1)
+        return force_response(recording.time, recording.force, planned[nearest])
     time, force, reference = (
         arrow.values(motion.column(name)) for name in ("time", "force", "reference")
     )
-    full = scene.law.force_reference  # lighter contacts relative to it
-    return force_response(time, full / reference * force, full, motion.column("phase").to_pylist())
+    return force_response(time, force, reference, motion.column("phase").to_pylist())
 
 
 def _assess(
@@ -279,7 +280,9 @@ def _nees_band(calibration: Calibration) -> list[float] | None:
 
 
 def _force_metrics(force: ForceResponse, departure: str) -> dict[str, Any]:
-    first = {"departure": departure} if departure else {}
+    first: dict[str, Any] = {"departure": departure} if departure else {}
+    if force.lighter:
+        first["lighter_references_n"] = list(force.lighter)
     return first | {
         "reference_n": force.reference,
         "mean_n": force.mean,

@@ -102,6 +102,8 @@ def summary(result: Result, folder: Path) -> str:
     m, calibration = result.metrics, result.calibration
     error, bound, force = m["position_error_mm"], m["crlb_mm"], m["force"]
     found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
+    lighter = " and ".join(f"{one:g}" for one in force.get("lighter_references_n", ()))
+    scaled = f" (contacts of {lighter} N scaled to it)" if lighter else ""
     settled = f"settled in {1e3 * force['settling_s']:.0f} ms"
     if math.isinf(force["settling_s"]):
         settled = "not settled before the contact point moved"
@@ -129,7 +131,8 @@ def summary(result: Result, folder: Path) -> str:
             if m["worse_than_centroid"]
             else []
         ),
-        f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N, {settled}, "
+        f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N{scaled}, "
+        f"{settled}, "
         f"overshoot {100 * force['overshoot']:.1f} %, then "
         + (
             "left its reference: see above"

@@ -151,9 +151,10 @@ def _press_lighter(
     """Add segments with lighter contacts where these serve taxels that are left out.
 
     `blocked` begins with the samples of the lanes, whose reasons are replaced. The taxels that are
-    still left out, and the forces (k,), N, of all segments; None: all of them that of the law.
+    still left out, with what keeps lighter contacts from them, and the forces (k,), N, of all
+    segments; None: all of them that of the law.
     """
-    forces = [scene.law.force_reference] * len(segments)
+    forces, obstacles = [float(scene.law.force_reference)] * len(segments), dict[int, str]()
     if not lighter_helps(list(left_out.values())).any():
         return left_out, None
     whole, reason = Closest.concatenate(lanes), blocked[0][1]
@@ -162,6 +163,7 @@ def _press_lighter(
         sites = served_lighter(scene.skin, left_out)
         if not len(sites):
             break
+        before = reason.copy()
         new = pressed_lighter(rig, whole.point, whole.normal, reason, sites)
         parts = zip(lanes, np.split(new, ends), np.split(reason == "", ends), strict=True)
         pieces = [
@@ -174,7 +176,10 @@ def _press_lighter(
         if len(still) < len(left_out):
             left_out, forces = still, forces + [force] * len(made)
             segments[:], blocked[:] = more
-    return left_out, np.array(forces)
+        else:  # a still lighter contact may have room where this one found too little
+            reason[:] = before
+            obstacles |= {taxel: why for taxel, why in still.items() if why not in SPARSE}
+    return {k: obstacles.get(k, why) for k, why in left_out.items()}, np.array(forces)
 
 
 def _arm_segments(

@@ -172,14 +172,18 @@ class Plan(Value, Card, Tabular):
         )
 
     def to_arrow(self) -> pa.Table:
-        """The contacts to press, or the path: segment, px, py, pz (m), nx, ny, nz a sample."""
+        """The contacts to press, or the path: segment, px, py, pz (m), nx, ny, nz a sample, and
+        force (N) where some segments are pressed lighter than others."""
         if self.contacts is not None:
             return self.contacts
         rows = np.arange(len(self.path.points))
         numbers = np.column_stack([self.path.points, self.path.normals])
         names = ("px", "py", "pz", "nx", "ny", "nz")
         segment = np.searchsorted(self.path.breaks, rows, side="right")
-        return pa.table({"segment": segment, **dict(zip(names, numbers.T, strict=True))})
+        columns = {"segment": segment, **dict(zip(names, numbers.T, strict=True))}
+        if self.path.forces is not None:
+            columns["force"] = self.path.forces[segment]
+        return pa.table(columns)
 
     def save_contacts(self, path: str | FilePath) -> None:
         """Write the contacts as CSV. Raises ConfigError where the plan moves the body."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
@@ -69,30 +69,31 @@ def force(
 
     time (m,), s; force (m,), N, NaN where it is not controlled; reference: one value or (m,), N;
     settling: settling time after the first contact, s, NaN where it is not known;
-    steady (m,): where the force is steady (by default from then on).
+    steady (m,): where the force is steady (by default from then on). The first touch and the steady
+    force are those of the reference of the first touch.
     """
     t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
     ref = None if reference is None else np.broadcast_to(np.asarray(reference, float), t.shape)
-    goal = float(ref[-1]) if ref is not None and len(ref) else float("nan")
-    touch = float(t[np.argmax(f > 0)]) if np.any(f > 0) else 0.0
+    first = int(np.argmax(f > 0)) if np.any(f > 0) else 0
+    touch = float(t[first]) if np.any(f > 0) else 0.0
+    goal, highest = float("nan"), 0.0
+    if ref is not None and len(ref):
+        goal, highest = float(ref[first]), float(ref.max())
     window = max(4 * settling, 0.05) if np.isfinite(settling) else 0.5
     near = (t >= touch - 0.15 * window) & (t <= touch + window)
     held = t >= touch + (window if np.isfinite(settling) else 0.0)
     held &= np.isfinite(f) if steady is None else np.asarray(steady, dtype=bool)
+    if ref is not None:
+        held &= ref == goal
     figure = theme.new_figure(9.0, 3.2)
     whole, zoom, close = (theme.add_axes(figure, x, 0.55, 2.4, 2.1) for x in (0.6, 3.5, 6.45))
     every = np.ones(len(t), dtype=bool)
     for axes, x, chosen in ((whole, t, every), (zoom, (t - touch) * MM, near), (close, t, held)):
         draw_line(axes, *without_pauses(x[chosen], f[chosen]), color=theme.ESTIMATE, lw=1.0)
         if ref is not None and np.any(chosen):
-            ends = np.flatnonzero(chosen)[[0, -1]]
-            axes.plot(x[ends], ref[ends], color=theme.WARNING, lw=0.9, ls="--")
-    for axes in (whole, zoom):
-        axes.axhspan(
-            goal * (1 - SETTLING_BAND), goal * (1 + SETTLING_BAND), color=theme.FAINT, lw=0
-        )
+            _draw_reference(axes, x[chosen], ref[chosen], band=axes is not close)
     peak = float(np.nanmax(f, initial=1e-9))
-    top = 1.12 * max(min(peak, HIGHEST * goal) if np.isfinite(goal) else peak, np.nan_to_num(goal))
+    top = 1.12 * max(min(peak, HIGHEST * highest) if highest else peak, highest)
     whole.set_ylim(0, top)
     zoom.set_ylim(0, 1.12 * max(float(np.nanmax(f[near], initial=1e-9)), np.nan_to_num(goal)))
     title = "Whole run" if peak <= top else f"Whole run, up to {compact(peak, 2)} N"
@@ -105,18 +106,29 @@ def force(
     return figure
 
 
+def _draw_reference(axes: Axes, x: Array, reference: Array, band: bool) -> None:
+    """Draw a reference (m,), N, that is constant over parts of x (m,), and its settling band."""
+    ends = np.flatnonzero(np.diff(reference))
+    rows = np.unique(np.concatenate([[0], ends, ends + 1, [len(x) - 1]]))
+    x, reference = x[rows], reference[rows]
+    axes.plot(x, reference, color=theme.WARNING, lw=0.9, ls="--")
+    if band:
+        low, high = reference * (1 - SETTLING_BAND), reference * (1 + SETTLING_BAND)
+        axes.fill_between(x, low, high, color=theme.FAINT, lw=0)
+
+
 @theme.styled
-def recorded_force(time: ArrayLike, force: ArrayLike, reference: float | None = None) -> Figure:
-    """The contact force (m,), N, at the times (m,), s, of a log, and its reference, if any, N."""
+def recorded_force(time: ArrayLike, force: ArrayLike, references: Sequence[float] = ()) -> Figure:
+    """The contact force (m,), N, at the times (m,), s, of a log, and its references, if any, N."""
     t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
     figure = theme.new_figure(9.0, 2.9)
     axes = theme.add_axes(figure, 0.6, 0.55, 8.2, 1.9)
     draw_line(axes, *without_pauses(t, f), color=theme.ESTIMATE, lw=1.0, marker=".", ms=1.5)
-    if reference is not None:
+    for reference in references:
         axes.axhline(reference, color=theme.WARNING, lw=0.9, ls="--")
-    axes.set_ylim(0, 1.12 * max(float(np.nanmax(f, initial=1e-9)), reference or 0.0))
+    axes.set_ylim(0, 1.12 * max(float(np.nanmax(f, initial=1e-9)), *references, 0.0))
     axes.set(xlabel="time (s)", ylabel="normal force (N)")
-    _force_legend(figure, with_reference=reference is not None, band=False)
+    _force_legend(figure, with_reference=bool(references), band=False)
     return figure
 
 

@@ -78,14 +78,15 @@ def force(folder: Path, data: ReportData) -> SavedFigure | None:
         phase = recording.motion.column("phase").to_pylist()
         values = np.where(np.isin(phase, CONTROLLED_PHASES), values, np.nan)
         steady = np.equal(phase, "slide") if "slide" in phase else None
-    settling = force_response(time, column["force"], float(goal[0]), phase).settling
+    settling = force_response(time, column["force"], goal, phase).settling
     return _save(
         folder,
         "fig4_force",
         curves.force(time, values, goal, settling, steady),
         "Contact force and its reference over time (the paper's fig. 4)",
         "Left: the whole run; the line is interrupted where the force is not controlled. Middle: "
-        "first touch and settling. Right: the force while the contact slides, enlarged. Good: the "
+        "first touch and settling. Right: the force while the contact slides, enlarged, without "
+        "contacts of other references. Good: the "
         "force settles in less than 0.1 s, does not overshoot the band, and never falls to zero "
         "while the contact slides.",
         "Contact force and its reference over time",
@@ -96,11 +97,12 @@ def _recorded_force(folder: Path, recording: Recording, data: ReportData) -> Sav
     """The contact force of contacts without the motion between them."""
     reference = data.metrics.get("force", {}).get("reference_n")
     reference = recording.metadata.get("force_reference_n", reference)
+    references = recording.metadata.get("forces_n", [] if reference is None else [reference])
     time = recording.time - recording.time[0]
     return _save(
         folder,
         "fig4_force",
-        curves.recorded_force(time, recording.force, reference),
+        curves.recorded_force(time, recording.force, references),
         "Contact force over time",
         "The line is interrupted where the log has no contact. Good: forces of one size, or, for a "
         "learned response, of several.",

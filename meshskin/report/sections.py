@@ -321,6 +321,9 @@ def _force(data: ReportData) -> list[str]:
     if not force:
         return []
     notes = [f"reference {compact(force['reference_n'])} N"] if "reference_n" in force else []
+    if lighter := force.get("lighter_references_n"):
+        forces = " and ".join(compact(one) for one in lighter)
+        notes.append(f"contacts of {forces} N scaled to it")
     if (seconds := force.get("settling_s")) is not None:
         settles = f"settled in {compact(seconds * 1e3)} ms"
         notes.append(settles if np.isfinite(seconds) else "not settled before it slides")

@@ -26,7 +26,9 @@ class ForceResponse:
     """The force after the first touch, against a constant reference."""
 
     reference: float
-    """Reference force, N."""
+    """Reference force, N; the largest of several, to which the others' forces are scaled."""
+    lighter: tuple[float, ...]
+    """The other reference forces, N."""
     touch: float
     """Time of the first touch, s."""
     mean: float
@@ -76,13 +78,17 @@ def describe_departure(recording: Recording) -> str:
 
 
 def force_response(
-    time: Array, force: Array, reference: float, phase: Sequence[str] | None = None
+    time: Array, force: Array, reference: float | Array, phase: Sequence[str] | None = None
 ) -> ForceResponse:
     """The response of a force (k,), N, at `time` (k,), s.
 
-    reference: N. phase (k,): names of the exploration's phases; steps in the air between places are
-    left out. Without it, all steps belong to one touch. Raises SimulationError without contact.
+    reference: N, or (k,): each force is judged relative to its own. phase (k,): names of the
+    exploration's phases; steps in the air between places are left out. Without it, all steps belong
+    to one touch. Raises SimulationError without contact.
     """
+    references = np.broadcast_to(reference, len(time))
+    reference = float(references.max(initial=0.0))
+    force = force * (reference / references)
     names = np.full(len(time), CONTROLLED_PHASES[0]) if phase is None else np.asarray(phase)
     controlled = np.isin(names, CONTROLLED_PHASES)
     t, f, names = time[controlled], force[controlled], names[controlled]
@@ -99,6 +105,7 @@ def force_response(
     counted = f[names == "slide"] if resting < len(f) else settled
     return ForceResponse(
         reference=reference,
+        lighter=tuple(np.unique(references[references < reference]).tolist()),
         touch=float(t[0]),
         mean=float(settled.mean()),
         std=float(settled.std()),

@@ -62,7 +62,7 @@ def simulate(
     scene's own exploration. out: stream the recording to these files and read it back from there,
     instead of holding it in memory. progress(stage, done, total) is called during the run. chain:
     the effects of an earlier run, to continue instead of new ones of the seed. A carried indenter
-    is pressed once at each contact of the plan, at rest at the reference force. Warns where the
+    is pressed once at each contact of the plan, at rest at the plan's force. Warns where the
     contact force leaves its reference after settling (`response.describe_departure`), where parts
     of the path are given up, and where taxels are not reached (LeftOutWarning). Raises ReachError
     if the arm cannot follow the path, SimulationError if the loop fails, ConfigError for a scene
@@ -146,9 +146,10 @@ def _pressed(
     """The recording of a carried indenter, pressed once at each row of the path; no motion."""
     _check(scene, path)
     recording = press_path(scene, path, seed, chain)
-    recording = replace(
-        recording, metadata=recording.metadata | {"unreachable": _unreachable(path)}
-    )
+    facts: dict[str, Any] = {"unreachable": _unreachable(path)}
+    if path.forces is not None:
+        facts["forces_n"] = np.unique(path.forces).tolist()
+    recording = replace(recording, metadata=recording.metadata | facts)
     if out is not None:
         recording.save(out)
     return recording

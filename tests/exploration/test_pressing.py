@@ -7,8 +7,12 @@ import pytest
 import trimesh
 
 import meshskin as ms
+from meshskin.exploration import lane_plan
+from meshskin.exploration.left_out import still_left_out
+from meshskin.exploration.path import Plan
 from meshskin.exploration.plan import plan_exploration
 from meshskin.exploration.pressing import grown_runs, lighter_helps
+from meshskin.pipeline import _force
 from meshskin.robot import collision
 
 
@@ -87,12 +91,44 @@ def test_a_carried_indenter_is_pressed_lighter_too(dented):
     table = plan.contacts.to_pydict()
     np.testing.assert_array_equal(table["force"], plan.path.forces)
     assert min(table["force"]) < 3.0 == max(table["force"])
-    np.testing.assert_allclose(ms.simulate(scene, path=plan.path).force, plan.path.forces)
+    recording = ms.simulate(scene, path=plan.path)
+    np.testing.assert_allclose(recording.force, plan.path.forces)
+    response = _force(recording, scene)  # each contact against its own force
+    assert (response.reference, response.lighter) == (3.0, tuple(sorted({*table["force"]} - {3.0})))
+    assert (response.settling, response.overshoot, response.disturbance) == (0.0, 0.0, 0.0)
+
+
+def test_what_a_force_serves_too_little_is_left_to_the_next_one(dented, monkeypatch):
+    """Half the force reaches points, none of the taxels is served thereby: a quarter tries them."""
+    calls = []
+
+    def half_serves_none(skin, radius, segments, blocked, before):
+        calls.append(radius)
+        return (
+            before if len(calls) == 1 else still_left_out(skin, radius, segments, blocked, before)
+        )
+
+    monkeypatch.setattr(lane_plan, "still_left_out", half_serves_none)
+    plan = plan_exploration(dented)
+    assert len(calls) == 2
+    assert plan.unreachable == {}
+    assert set(plan.path.forces) == {3.0, 0.75}
+
+
+def test_what_keeps_lighter_contacts_from_a_taxel_is_named(dented):
+    """An arm that meets the support in the dent: no force is light enough."""
+    plan = plan_exploration(dented.with_(loop=replace(dented.loop, mode="arm")))
+    assert len(plan.unreachable) > 10
+    assert not lighter_helps(list(plan.unreachable.values())).any()
+    assert "collision: the arm meets the indenter's support" in plan.unreachable.values()
 
 
 def test_forces_of_a_part_of_a_path(dented):
     path = plan_exploration(dented).path
     assert [float(s.forces[0]) for s in path.segments] == path.forces.tolist()
+    table = Plan(path, 2.5e-3).to_arrow().to_pydict()
+    np.testing.assert_array_equal(np.unique(table["force"]), np.unique(path.forces))
+    assert table["force"][path.breaks[0]] == path.forces[1]
     cut = path.truncated(path.breaks[0] + 1)
     np.testing.assert_array_equal(cut.forces, path.forces[:2])
 

@@ -247,6 +247,17 @@ def test_a_force_that_is_lost_or_peaks_keeps_an_axis_from_zero() -> None:
     assert "Whole run, up to 125 N" in texts(figure)
 
 
+def test_a_lighter_reference_at_the_end_of_a_run_has_a_step_of_its_own() -> None:
+    t = np.arange(0.0, 4.0, 1e-3)
+    reference = np.where(t < 3.0, 3.0, 0.75)
+    figure = curves.force(t, reference * (1.0 + 0.01 * np.sin(t)), reference)
+    whole, _, close = figure.axes
+    assert whole.get_ylim()[1] > 3.0
+    assert close.get_ylim()[0] < 3.0 < close.get_ylim()[1] < 3.1
+    x, y = whole.lines[-1].get_data()
+    np.testing.assert_allclose(np.interp([1.5, 2.9, 3.1], x, y), [3.0, 3.0, 0.75])
+
+
 def test_no_line_is_drawn_across_a_pause() -> None:
     t = np.concatenate([np.arange(0.0, 1.0, 0.01), np.arange(5.0, 6.0, 0.01)])
     figure = curves.force(t, np.full(200, 3.0), 3.0)
@@ -316,7 +327,7 @@ def test_a_log_without_motion_has_its_force_alone() -> None:
     assert len(shown.axes) == 1
     assert shown.axes[0].get_ylim()[0] == 0.0
     assert "within 2 %" not in texts(shown)
-    assert "reference" in texts(curves.recorded_force(t, 3.0 + np.sin(t), 3.0))
+    assert "reference" in texts(curves.recorded_force(t, 3.0 + np.sin(t), [3.0]))
 
 
 def test_estimates_that_coincide_are_drawn_in_millimetres() -> None:

@@ -31,6 +31,17 @@ def test_a_force_that_never_settles_or_never_comes():
         force_response(time, np.zeros(100), 3.0)
 
 
+def test_lighter_contacts_are_judged_by_their_own_reference():
+    time, reference = np.arange(0, 1, 1e-2), np.repeat([3.0, 1.5, 0.75], [50, 30, 20])
+    got = force_response(time, 1.01 * reference, reference)
+    assert (got.reference, got.lighter) == (3.0, (0.75, 1.5))
+    assert got.settling == 0
+    assert got.mean == pytest.approx(3.03)
+    assert got.disturbance == pytest.approx(0.01)
+    assert force_response(time, reference, 3.0).disturbance == pytest.approx(0.75)
+    assert force_response(time, reference, 3.0).lighter == ()
+
+
 def test_air_and_sliding_are_told_from_the_touch():
     """Two places: the second touch, the way between and the slide's disturbance are no settling."""
     place = ["approach"] * 10 + ["touch"] * 50 + ["hold"] * 20 + ["slide"] * 100 + ["leave"] * 20

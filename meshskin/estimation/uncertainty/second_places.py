@@ -25,6 +25,9 @@ APART = 3.0
 MIN_READINGS, MIN_GATHERED = 4, 0.8
 """Strong readings, at least, that make a second place, and their share within NEAR reaches of one
 another: second contacts at the same time scatter over the body."""
+SAMPLE = 500
+"""Strong readings of a taxel whose pairs are compared, at most: all pairs of the thousands that a
+taxel with a short circuit has would fill the memory; a share of 0.8 of 500 is known to 0.02."""
 MAX_TAXELS = 0.02, 0.05
 """Share of the taxels that answer at a second place from which it is a doubt, and a failure: where
 a twentieth answers at both, most of the others have answered only at the wrong one."""
@@ -56,11 +59,13 @@ def second_places(data: Measurements, positions: Array) -> np.ndarray:
     near = off <= NEAR * reach  # NaN, of a taxel without a position, is neither near nor far
     np.minimum.at(largest, data.taxel[near], 0.0)
     np.maximum.at(largest, data.taxel[near], data.pressure[near])
-    strong = (off > NEAR * reach) & (data.pressure > STRONG * largest[data.taxel])
+    strong = np.flatnonzero((off > NEAR * reach) & (data.pressure > STRONG * largest[data.taxel]))
+    strong = strong[np.argsort(data.taxel[strong], kind="stable")]
     count = np.bincount(data.taxel[strong], minlength=len(data.ids))
-    found = []
+    ends, found = np.cumsum(count), []
     for taxel in np.flatnonzero(count >= MIN_READINGS):
-        points = where[strong & (data.taxel == taxel)]
+        rows = strong[ends[taxel] - count[taxel] : ends[taxel]]
+        points = where[rows[:: -(-len(rows) // SAMPLE)]]
         apart = np.linalg.norm(points[:, None] - points, axis=2)
         gathered = (apart < NEAR * reach).mean(axis=1)
         middle = points[np.argmax(gathered)]

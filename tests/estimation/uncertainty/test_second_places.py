@@ -1,5 +1,6 @@
 """Ids that were exchanged during the recording are named; second contacts anywhere are not."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -53,6 +54,25 @@ def test_second_contacts_scatter_over_the_body(wide):
         data.contact,
     )
     assert len(second_places(replace(data, contact=contact), wide.truth)) <= 1
+
+
+def test_a_taxel_that_answers_ten_thousands_of_times(wide):
+    """The readings of a short circuit: their pairs are not all compared, nor held in memory."""
+    data = gather(wide.record(0.01, 0.05), wide.belief(0.01, 0.05))
+    far = int(np.argmax(np.linalg.norm(data.points - wide.truth[0], axis=1)))
+    more = 20_000
+    many = replace(
+        data,
+        contact=np.append(data.contact, np.full(more, far)),
+        taxel=np.append(data.taxel, np.zeros(more, dtype=int)),
+        pressure=np.append(data.pressure, np.full(more, data.pressure.max())),
+    )
+    tracemalloc.start()
+    found = second_places(many, wide.truth)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found.tolist() == [0]
+    assert peak < 200e6
 
 
 def test_the_level_is_that_of_the_share_of_taxels(wide):
