@@ -54,6 +54,7 @@ factor itself was 0.7 to 1.9 times what is right, on raw meshes."""
 CAUSES = (
     "the contact points are those of a surface whose facets or bumps the believed one lacks",
     "stiffness or thickness of the skin varies over the body",
+    "patches are not round, or another response than the learned one",
 )
 """What makes the errors of each of contact_correlations.KINDS alike."""
 AGREEMENT = 0.3
