@@ -11,7 +11,7 @@ exploration makes a sparse first pass, then rounds of `Calibration.next_contacts
 The study prints, at the mean errors of the lanes, the ratio of the contacts that adaptive
 exploration needs to those of the lanes: as measured; by the Cramér-Rao bound at the contacts made,
 which is free of noise (the measured ratio scatters by 0.03 with 12 seeds); the lower limit of any
-design (estimation/design.py, which knows the taxels' positions); and the measured ratio for the
+design (contact_design.py, which knows the taxels' positions); and the measured ratio for the
 largest stated uncertainty. It draws the curves. --full: 12 seeds, and one adaptive run through the
 closed loop with the arm.
 """

@@ -11,7 +11,7 @@ import pytest
 from meshskin.core.errors import OutputError, StudyError
 from meshskin.core.provenance import digest
 from meshskin.study.sweep.case import DIED, MEMORY, RAISED, TIMEOUT, Limits, Outcome
-from meshskin.study.sweep.store import Store
+from meshskin.study.sweep.store import Store, _column
 
 KEY = "3fa0b1c2d3e4f506"
 
@@ -23,6 +23,24 @@ def test_a_result_is_read_as_it_was_written(out):
     assert store.read(KEY) == outcome
     assert store.keys() == {KEY}
     assert store.read("0" * 16) is None
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([None, None], [None, None]),
+        ([1, None, 2.5], [1.0, None, 2.5]),
+        ([True, None, False], [True, None, False]),
+        ([1, True], ["1", "True"]),
+        ([0.5, True, None], ["0.5", "True", None]),
+        (["a", 1], ["a", "1"]),
+    ],
+)
+def test_values_of_several_types_are_text_in_a_table(values, expected):
+    for order in (1, -1):
+        found = _column(values[::order]).to_pylist()[::order]
+        assert found == expected
+        assert [type(value) for value in found] == [type(value) for value in expected]
 
 
 def test_an_incomplete_file_is_ignored(out):

@@ -76,11 +76,14 @@ class RecordedFrames:
 
     def __init__(self, recording: Recording, ids: np.ndarray, errors: Array | None = None) -> None:
         """ids (n,): of the taxels; errors (m, 3): of the contacts, where known. Raises
-        CalibrationError if a taxel that was read is not among them."""
+        CalibrationError if a taxel that was read is not among them, RecordingError if one is read
+        twice in a contact."""
         check_type(Recording, recording, "recording of an update")
+        taxel = taxel_rows(recording.reading_taxel, ids)
+        unit_checks.check_unique(recording, taxel, len(ids))
         order = np.argsort(recording.reading_contact, kind="stable")
         self._contact, self._pressure = recording.reading_contact[order], recording.pressure[order]
-        self._taxel = taxel_rows(recording.reading_taxel[order], ids)
+        self._taxel = taxel[order]
         self._recording, self._count, self._errors = recording, len(ids), errors
 
     def part(self, begin: int, end: int) -> tuple[ContactFrames, Array]:

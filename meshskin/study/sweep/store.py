@@ -151,15 +151,19 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
 
 
 def _column(values: list[Any]) -> pa.Array:
-    """An Arrow column, whose type follows from its values."""
+    """An Arrow column, whose type follows from its values; text for values of several types."""
     import pyarrow as pa
 
     if all(v is None for v in values):
         return pa.array(values, pa.float64())
     try:
-        return pa.array(values)
-    except (pa.ArrowInvalid, pa.ArrowTypeError):  # of several types
+        column = pa.array(values)
+    except (pa.ArrowInvalid, pa.ArrowTypeError):
+        column = None
+    # True after 0.5 is taken for 1.0, True after 1 is refused
+    if column is None or (any(v is True or v is False for v in values) and column.type != "bool"):
         return pa.array([None if v is None else str(v) for v in values], pa.string())
+    return column
 
 
 def tables(rows: Iterable[tuple[Case, Outcome | None]]) -> tuple[pa.Table, pa.Table]:

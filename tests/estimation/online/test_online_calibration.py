@@ -4,6 +4,7 @@ import pickle
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 import meshskin as ms
@@ -186,6 +187,33 @@ def test_it_goes_on_after_pickling(world, frames):
         online.settle()
     assert np.allclose(first.provisional, again.provisional, rtol=0, atol=1e-8, equal_nan=True)
     assert str(first.status) == str(again.status)
+
+
+def test_the_contacts_of_a_recording_are_those_of_its_frames(world, frames):
+    recording, belief = world.record(NOISE, THRESHOLD), world.belief(NOISE, THRESHOLD)
+    first, again = ms.OnlineCalibration(belief), ms.OnlineCalibration(belief)
+    dense = np.zeros((len(recording.time), len(world.ids)))
+    dense[recording.reading_contact, np.searchsorted(world.ids, recording.reading_taxel)] = (
+        recording.pressure
+    )
+    contacts = ms.ContactFrames(recording.points, recording.force, time=recording.time)
+    assert str(first.update_recording(recording)) == str(again.update(contacts, dense))
+    np.testing.assert_array_equal(first.positions, again.positions)
+    assert first.status.determined > 0
+
+
+def test_recordings_that_calibrate_refuses_are_refused(world):
+    recording = world.record(NOISE, THRESHOLD)
+    copied = pa.concat_tables([recording.readings, recording.readings.slice(0, 3)])
+    online = ms.OnlineCalibration(world.belief(NOISE, THRESHOLD))
+    with pytest.raises(RecordingError, match=r"read twice in one contact, .* 3 in all"):
+        online.update_recording(replace(recording, readings=copied))
+    few = world.belief(NOISE, THRESHOLD, taxel_ids=world.ids[:-2])
+    with pytest.raises(CalibrationError, match=r"does not know, got ids .* limit: \d+ ids from"):
+        ms.OnlineCalibration(few).update_recording(recording)
+    with pytest.raises(ConfigError, match="recording of an update must be"):
+        online.update_recording(world.points)
+    assert online.frames == 0
 
 
 def test_readings_and_beliefs_that_only_a_batch_can_use_are_refused(world):
