@@ -60,6 +60,10 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
     """Squared residuals per degree of freedom of each taxel (n,); NaN with none left."""
     reasons: np.ndarray
     """Why a taxel is not determined (n,) str; "" where it is."""
+    anchor: str = field(kw_only=True)
+    """What fixes the pose of the whole."""
+    factors: tuple[str, ...] = field(kw_only=True)
+    """What the estimate is made of, priors named."""
     verdict: Verdict | None = None
     """Whether the calibration can be relied on, with reasons; None: made by hand."""
     contact_centroids: Array | None = None

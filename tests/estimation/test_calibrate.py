@@ -231,3 +231,18 @@ def test_invalid_reports(world, noisy, tmp_path):
     with pytest.raises(ConfigError, match="the truth of a report must be a Skin"):
         found.report(tmp_path / "r.html", truth=world.body)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["anchor", "factors"])
+def test_a_calibration_by_hand_says_what_it_rests_on(name):
+    n = 2
+    given = {
+        "ids": np.arange(n), "poses": np.tile(np.eye(4), (n, 1, 1)),
+        "covariances": np.zeros((n, 6, 6)), "observed": np.ones((n, 6), dtype=bool),
+        "touched": np.ones(n, dtype=bool), "readings": np.ones(n, dtype=int), "method": "hand",
+        "anchor": "a ruler", "factors": ("ruler",), "chi2": np.full(n, np.nan),
+        "reasons": np.full(n, ""),
+    }  # fmt: skip
+    assert getattr(Calibration(**given), name) == given[name]
+    with pytest.raises(TypeError, match=name):
+        Calibration(**{key: value for key, value in given.items() if key != name})

@@ -16,7 +16,7 @@ from ...core.errors import CalibrationError
 from ...recording.recording import Recording
 from ...scene.belief import RAW
 from ..calibration import Calibration
-from ..data.gather import gather
+from ..data.gather import gather, gather_or_learn
 from ..data.measurements import Measurements
 from ..data.raw_readings import quantum
 from ..joint.learned_result import FALLING
@@ -49,7 +49,8 @@ def read(
             )
         if FALLING in previous.factors:
             recording = _turned(recording)
-    data = gather(recording, replace(_as_mapped(belief, previous), taxel_ids=known.ids))
+    told = replace(_as_mapped(belief, previous), taxel_ids=known.ids)
+    data = gather(recording, told) if response is None else gather_or_learn(recording, told)[0]
     if len(data.pressure) < MIN_READINGS:
         raise CalibrationError(
             "too few readings to tell a change from noise", value=len(data.pressure),

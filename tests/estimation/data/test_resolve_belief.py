@@ -83,6 +83,7 @@ def test_the_response_is_learned_where_no_contact_model_holds(world):
     assert found.response is not None
     error = np.linalg.norm(found.positions - seen.truth, axis=1)
     assert np.sqrt(np.mean(error**2)) < 1.25 * np.sqrt(np.mean(found.position_sigma**2)) < 0.05e-3
+    assert (ms.recalibrate(found, recording, told).states == "confirmed").all()
     assert np.isfinite(ms.calibrate(recording, told, method="centroid").positions).all()
     with pytest.raises(CalibrationError, match=r"trilateration needs .* too wide"):
         ms.calibrate(recording, told, method="trilateration")
