@@ -62,10 +62,10 @@ class LearnedResponse(Value):
     noise_relative: float
     """Its part proportional to the reading."""
     alike_contacts: float = 1.0
-    """Factor of the variances by errors of the contacts that neighbouring ones share; 1 where
-    chance explains them (joint/contact_correlations.py)."""
-    alike_parts: tuple[float, ...] = (0.0, 0.0)
-    """What displacements of contact points and errors of forces have in it."""
+    """Factor of the variances by errors that neighbouring contacts share; 1 where chance explains
+    them (joint/contact_correlations.py)."""
+    alike_parts: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """What displacements of contact points and errors of forces and of readings have in it."""
     coefficients: Array = field(default_factory=lambda: np.empty(0))
     """Whitened coefficients of the profile's correction (contact/learned.py)."""
     extent: float = 2.5

@@ -15,6 +15,7 @@ from . import unit_checks
 from .delay import without_delay
 from .global_parameters import declared_parameters
 from .measurements import Measurements, nominal_patches
+from .patch_shape import over_patches
 from .raw_readings import check_pressures, nominal_pressure, pressures_above_rest
 from .registration import registered
 from .resolve_belief import resolve_belief, valid_contacts
@@ -52,7 +53,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     learned = belief.readings == RAW or belief.contact == contact.LEARNED
     if learned:
         belief = replace(belief, contact=contact.LEARNED)
-        hit = unit_checks.without_hollows(hit, belief.indenter.radius)
+        hit = over_patches(belief, hit, recording.force)
     belief = resolve_belief(belief, recording)
     used = recording.force > 0
     pressure, unit, falling = recording.pressure, 1.0, False

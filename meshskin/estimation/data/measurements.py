@@ -12,7 +12,7 @@ from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
-from .unit_checks import without_hollows
+from .patch_shape import over_patches
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -212,7 +212,7 @@ class Measurements:
     def at_contacts(self, hit: Closest) -> Measurements:
         """These measurements with the contacts at the points `hit` of the body."""
         if self.learned:
-            hit = without_hollows(hit, self.belief.indenter.radius)
+            hit = over_patches(self.belief, hit, self.force)
         return replace(
             self,
             points=hit.point,

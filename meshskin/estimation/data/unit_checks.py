@@ -5,7 +5,6 @@ single corrupt readings left out.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -59,13 +58,6 @@ MAX_CORRUPT = 0.01
 numbers, but a wrong unit or a broken sensor, which the test of fit shows."""
 
 
-MAX_HOLLOWS = 0.05
-"""Largest part of the contacts in hollows tighter than the indenter: creases of coarse meshes hold
-a few; more are a body that the indenter does not fit."""
-HOLLOW = 0.9
-"""Curvature, relative to the indenter's, that hollows tighter than it are believed to have."""
-
-
 def check_points(body: Body, points: Array, distance: Array) -> None:
     """Refuse contact points (m, 3) far from the surface: `distance` (m,), m, from it.
 
@@ -107,18 +99,6 @@ def off_surface(hit: Closest, normals: Array, radius: float) -> np.ndarray:
     for size, least in zip((np.abs(hit.distance), angles(hit, normals)), limits, strict=True):
         off |= size > max(least, SINGLE * float(np.quantile(size, 0.75)) if len(size) else 0.0)
     return off & (off.mean() <= MAX_SINGLE if len(off) else True)
-
-
-def without_hollows(hit: Closest, radius: float) -> Closest:
-    """Where a few contacts are in hollows too tight for an indenter of the radius, m, those with
-    curvatures that it fits: creases of a coarse mesh have such, and no patch."""
-    tight = (hit.curvature <= -1 / radius).any(axis=1)
-    if not tight.any() or np.mean(tight) > MAX_HOLLOWS:
-        return hit
-    bounded = np.maximum(hit.curvature[tight], -HOLLOW / radius)
-    curvature = hit.curvature.copy()
-    curvature[tight] = bounded
-    return replace(hit, curvature=curvature)
 
 
 def angles(hit: Closest, normals: Array) -> Array:

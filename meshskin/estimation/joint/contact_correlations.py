@@ -1,12 +1,11 @@
-"""Errors of contact points and forces that neighbouring contacts share, in an estimate with a
-learned response; residual_correlations.py has those of the readings beside them.
+"""Errors that neighbouring contacts share, in an estimate with a learned response.
 
-The estimate takes displacements and force errors of the contacts as independent. Where those of
-neighbouring contacts are alike, many contacts tell less than they seem to: over the facets of a
-mesh, or where the stiffness of a skin varies over the body. How much less follows from variance
-components, by the method of moments: correlograms of the errors that the estimate has found are
-compared with those that it would find of white errors and of random fields over the body, which are
-drawn and estimated by the same normal equations.
+The estimate takes displacements and force errors of the contacts and the noise of the readings as
+independent. Where those of neighbouring contacts are alike, many contacts tell less than they seem
+to: over the facets of a mesh, or where the stiffness of a skin or the shape of patches varies over
+the body. How much less follows from variance components, by the method of moments: correlograms of
+what the estimate has found are compared with those that it would find of white errors and of random
+fields over the body, which are drawn and estimated by the same normal equations.
 
 Source: Cressie, "Statistics for Spatial Data" (1993), 2.4 and 2.6; Rahimi and Recht, "Random
 features for large-scale kernel machines" (2007), for the fields.
@@ -38,7 +37,7 @@ variances were up to 4 times too large, on raw meshes."""
 RINGS, FAR = 12, 1.5
 """Bins of a correlogram beside that of distance zero, and its end in reaches of a contact."""
 CENTRES = 2000
-"""Contacts, about, whose neighbours are compared: more change little."""
+"""Contacts, and readings, about, whose neighbours are compared: more change little."""
 WAVES = 32
 """Cosines of a field: its sums over a correlogram are those of a Gaussian one to a few percent."""
 MODEL_ERROR = 0.03
@@ -46,12 +45,12 @@ MODEL_ERROR = 0.03
 the world has exactly their correlations."""
 MIN_GAIN = 20.0
 """Decrease of the misfit of the correlograms, as chi-square, from which fields are no chance: at
-most 5 in 24 recordings of worlds without any, and 24 or more in 50 of uneven skins and raw meshes,
-measured with fields of two lengths, 0.2 and 0.4, in place of `LENGTH`."""
+most 12 in 20 recordings of worlds without any, and 25 or more in 8 of raw meshes (the bodies of
+tests/estimation/joint/test_raw_meshes.py with four seeds)."""
 FORCE_UNIT = 0.02
 """Deviation of ln force of the drawn force errors, at least: with less, an estimate that finds
 none would take other errors for a great many of them."""
-KINDS = ("contact points", "forces")
+KINDS = ("contact points", "forces", "readings")
 """What errs, in the order of the correlograms."""
 
 
@@ -61,7 +60,7 @@ class AlikeErrors:
 
     factor: float = 1.0
     """Factor of the taxels' variances by them."""
-    parts: tuple[float, ...] = (0.0, 0.0)
+    parts: tuple[float, ...] = (0.0, 0.0, 0.0)
     """What fields of each of KINDS have in it."""
 
 
@@ -95,19 +94,27 @@ def alike_errors(effects: RandomEffects, covariances: Array) -> AlikeErrors:
     covariances (n, 2, 2), m^2, are those of independent errors."""
     if int(effects.probes.touched.sum()) < MIN_CONTACTS:
         return AlikeErrors()
+    if not effects.clear().any():
+        return AlikeErrors()
     correlograms = _Correlograms(effects, covariances)
-    seen = correlograms.of(effects.unknowns.errors[..., None])[:, 0]
-    mean, deviation, added = correlograms.drawn()
+    seen = correlograms.of(effects.unknowns.errors[..., None], effects.residuals()[:, None])[:, 0]
+    drawn = [
+        correlograms.drawn(kind, length) for length in (0.0, LENGTH) for kind in range(len(KINDS))
+    ]
+    mean, deviation = (np.stack(part, axis=1) for part in list(zip(*drawn, strict=True))[:2])
+    added = np.array([part[2] for part in drawn])
     at_zero = np.repeat(seen[:: RINGS + 1], RINGS + 1)
-    believed = np.array([*correlograms.believed, 0.0, 0.0])
-    weight, white = believed, slice(len(KINDS) + 1)
+    believed = np.array([*correlograms.believed, 0.0, 0.0, 0.0])
+    weight = believed
     for _ in range(3):  # the sampling errors depend on the weights, but little
         sigma = np.sqrt(deviation**2 @ weight**2 + (MODEL_ERROR * at_zero) ** 2 + 1e-20)
         weight, misfit = nnls(mean / sigma[:, None], seen / sigma)
-    if nnls(mean[:, white] / sigma[:, None], seen / sigma)[1] ** 2 - misfit**2 < MIN_GAIN:
+    white = nnls(mean[:, :3] / sigma[:, None], seen / sigma)[1]
+    if white**2 - misfit**2 < MIN_GAIN:
         return AlikeErrors()
+    parts = (weight * added)[3:]
     factor = 1.0 + float((weight - believed) @ added)
-    return AlikeErrors(max(factor, 1.0), tuple(map(float, (weight * added)[len(KINDS) + 1 :])))
+    return AlikeErrors(max(factor, 1.0), tuple(map(float, parts)))
 
 
 def _tangents(effects: RandomEffects) -> Array:
@@ -117,61 +124,70 @@ def _tangents(effects: RandomEffects) -> Array:
 
 
 class _Correlograms:
-    """Correlograms of the contacts' errors."""
+    """Correlograms of the contacts' errors and of the residuals of single taxels."""
 
     def __init__(self, effects: RandomEffects, covariances: Array) -> None:
-        self.effects, self.covariances, d = effects, covariances, effects.deviations
+        self.effects, self.fitted, self.system = effects, effects.fitted(), effects.system()
+        self.information = np.linalg.inv(covariances)
+        data, readings, d = effects.data, effects.readings, effects.deviations
         self.used = np.flatnonzero(effects.probes.touched)
-        points, reach = effects.data.points, float(np.median(effects.data.reach()[self.used]))
+        self.clear = np.flatnonzero(effects.clear())
+        reach = float(np.median(data.reach()[self.used]))
         self.length, self.rng = LENGTH * reach, np.random.default_rng(0)
-        self.units = max(d.position, 0.01 * reach), max(d.force, FORCE_UNIT)
-        self.believed = 1.0, (d.position / self.units[0]) ** 2, (d.force / self.units[1]) ** 2
-        """Variances that noise and errors are believed to have, in those of the drawn ones."""
-        self.rings = _rings(points[self.used], FAR * reach)
+        self.units = max(d.position, 0.01 * reach), max(d.force, FORCE_UNIT), 1.0
+        self.believed = (d.position / self.units[0]) ** 2, (d.force / self.units[1]) ** 2, 1.0
+        """Variances that the estimate believes the errors to have, in the drawn ones'."""
+        far, own = FAR * reach, readings.taxel[self.clear]
+        at = data.points[readings.contact[self.clear]]
+        self.contacts = _rings(data.points[self.used], far)
+        self.readings = _rings(np.column_stack([at, 10 * far * own]), far)
         self.tangents = _tangents(effects)
 
-    def of(self, errors: Array) -> Array:
-        """The correlograms (2 (RINGS + 1), c) of contact errors (m, 3, c)."""
+    def of(self, errors: Array, residuals: Array) -> Array:
+        """The correlograms (3 (RINGS + 1), c) of contact errors (m, 3, c) and residuals (k, c)."""
         moved = np.einsum("maj,mac->mjc", self.tangents, errors[:, :2])[self.used] / self.units[0]
         force = errors[self.used, 2] / self.units[1]
-        points = sum(_products(self.rings, moved[:, j]) for j in range(3))
-        return np.concatenate([points, _products(self.rings, force - force.mean(axis=0))])
+        points = sum(_products(self.contacts, moved[:, j]) for j in range(3))
+        rest = _products(self.readings, residuals[self.clear])
+        return np.concatenate([points, _products(self.contacts, force - force.mean(axis=0)), rest])
 
-    def drawn(self) -> tuple[Array, Array, Array]:
-        """Of what the estimate finds of unit errors: noise of the readings, white errors of each of
-        KINDS, and fields of them: mean and standard deviation (., 5) of the correlograms, and the
-        mean square (5,) of what they displace a taxel by, in its standard deviations."""
-        fitted, system = self.effects.fitted(), self.effects.system()
-        points, contact = self.effects.data.points, fitted.readings.contact
-        right, count = [], self.effects.probes.count
-        for kind, length in ((None, 0.0), (0, 0.0), (1, 0.0), (0, self.length), (1, self.length)):
-            if kind is None:
-                off = self._field(contact, 0.0) * self.effects.spread[:, None]
-            elif kind == 0:
-                moved = np.stack([self._field(points, length) for _ in range(3)], axis=1)
-                moved = self.units[0] * np.einsum("maj,mjc->mac", self.tangents, moved)
-                off = np.einsum("ka,kac->kc", fitted.jacobian[:, -3:-1], moved[contact])
-            else:
-                off = self.units[1] * self._field(points, length)[contact]
-                off *= fitted.jacobian[:, -1:]
-            right.append(system.transposed(fitted.jacobian, fitted.curvature[:, None] * off))
-        x = system.solve(*(np.concatenate(parts, axis=-1) for parts in zip(*right, strict=True)))
-        found = self.of(x[1]).reshape(-1, len(right), count)
-        places, information = x[0][:, :2], np.linalg.inv(self.covariances)
-        square = np.einsum("nic,nij,njc->c", places, information, places)
-        square = square.reshape(-1, count).sum(axis=1) / (2 * len(places) * count)
-        return found.mean(axis=2), found.std(axis=2, ddof=1), square
+    def drawn(self, kind: int, length: float) -> tuple[Array, Array, float]:
+        """Mean and standard deviation of the correlograms of what the estimate finds of unit errors
+        of one of KINDS, white ones or a field; and the mean square of what they displace a taxel
+        by, in its stated standard deviations."""
+        readings, jacobian, system = self.effects.readings, self.fitted.jacobian, self.system
+        points, unit = self.effects.data.points, self.units[kind]
+        length = self.length if length else 0.0
+        if kind == 0:
+            moved = np.stack([self._field(points, length) for _ in range(3)], axis=1)
+            moved = unit * np.einsum("maj,mjc->mac", self.tangents, moved)
+            off = np.einsum("ka,kac->kc", jacobian[:, -3:-1], moved[readings.contact])
+        elif kind == 1:
+            off = jacobian[:, -1:] * (unit * self._field(points, length))[readings.contact]
+        else:
+            off = self._field(points[readings.contact], length, readings.taxel)
+            off *= self.effects.spread[:, None]
+        weight = self.fitted.curvature[:, None]
+        x = system.solve(*system.transposed(jacobian, weight * off))
+        found = self.of(x[1], (off - system.forward(jacobian, x)) * np.sqrt(weight))
+        places = x[0][:, :2]
+        square = float(np.einsum("nic,nij,njc->", places, self.information, places))
+        return found.mean(axis=1), found.std(axis=1, ddof=1), square / places.size
 
-    def _field(self, points: Array, length: float) -> Array:
+    def _field(self, points: Array, length: float, owner: np.ndarray | None = None) -> Array:
         """Fields (m, c) of variance 1 at points (m, 3), m, correlated over `length`, m, or white
-        ones."""
+        ones; a different one for each owner (m,)."""
         count = self.effects.probes.count
         if not length:
             return self.rng.normal(size=(len(points), count))
-        waves = self.rng.normal(size=(count, WAVES, 3)) / length
-        phases = self.rng.uniform(0, 2 * np.pi, size=(count, WAVES))
-        sums = [np.cos(points @ w.T + p).sum(axis=1) for w, p in zip(waves, phases, strict=True)]
-        return np.stack(sums, axis=1) * np.sqrt(2 / WAVES)
+        if owner is None:
+            owner = np.zeros(len(points), dtype=int)
+        out = np.zeros((len(points), count))
+        for c in range(count):
+            for wave in self.rng.normal(size=(WAVES, 3)) / length:
+                phase = self.rng.uniform(0, 2 * np.pi, int(owner.max(initial=0)) + 1)
+                out[:, c] += np.cos(points @ wave + phase[owner])
+        return out * np.sqrt(2 / WAVES)
 
 
 def _rings(points: Array, far: float) -> list[sparse.csr_array]:

@@ -30,7 +30,7 @@ from ...scene.belief import RAW, Belief
 from ...scene.contact_motion import ContactMotion
 from ..calibrate import calibrate
 from ..calibration import Calibration
-from ..data.unit_checks import without_hollows
+from ..data.patch_shape import fitting, over_patches
 from .clock import first_offset
 from .heights import Heights, depths, surface_heights, timed_by_the_fastest
 from .joint_residuals import JointResidual, joint_residuals
@@ -316,7 +316,8 @@ def _heights(
     x = np.zeros(len(kinematics.labels) + 1)
     for _ in range(HEIGHT_FITS):
         centres, _ = kinematics.centres(path, time, x[:-1])
-        hit = without_hollows(belief.body.closest(centres), belief.indenter.radius)
+        hit = over_patches(belief, belief.body.closest(centres), force)
+        hit = fitting(hit, belief.indenter.radius)  # before the fit, contacts are anywhere
         depth = depths(belief, hit.curvature, force)
         heights = Heights(kinematics, path, time, belief.body, belief.indenter.radius, depth)
         x = heights.fit(x)

@@ -14,15 +14,14 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...recording.recording import JOINT_ANGLES
-from ...scene.belief import RAW
 from ..data import delay
-from ..data.global_parameters import ELECTRONICS, LEARNED, MIN_KEPT, SIZES, declared_parameters
+from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_parameters
 from ..data.unit_checks import angles
 from ..joint.contact_correlations import MAX_CORRELATION
 from ..joint.departures import MIN_SCORE
 from . import second_places, verdict, weighted_means
 from .contact_errors import displacement, motion, offsets
-from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
+from .verdict import DOUBT, FAIL, LEVELS, PASS, PRIOR_SIGMAS, Finding, Verdict, level_of
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording
@@ -43,12 +42,6 @@ MODULUS_FACTORS = 3.0, 10.0
 """Factor between the estimated and the nominal E* from which it is a doubt, and a failure. Nominal
 values of elastomers by Shore hardness are within a factor of 2; pressures 2 and 4 times wrong move
 E* by factors of 2.7 and 17, since the patch, too, has to fit."""
-MAX_SCALE = 1.6
-"""Factor between the readings and the pressures of the contact model, as a learned response has it,
-from which it is a doubt. A layer of the thickness of the patch changes the peak by 1.3."""
-PRIOR_SIGMAS = 4.0
-"""Distance of a global parameter from zero, in standard deviations of its prior, from which it is a
-doubt: 6e-5 by chance."""
 NORMAL_ANGLES = 20.0, 45.0
 """Median angle of recorded normals and those of the believed surface, in degrees, from which it is
 a doubt, and a failure: with friction of 0.3 a force leans by 17 degrees."""
@@ -83,7 +76,7 @@ def judge(
         lambda: _late(data),
         lambda: _noise(data, calibration),
         lambda: _modulus(data, calibration),
-        lambda: _scale(data, calibration),
+        lambda: verdict.scale(data, calibration),
         lambda: _priors(data, calibration),
         lambda: _surface(data, calibration),
         lambda: _normals(recording, data),
@@ -93,7 +86,7 @@ def judge(
         lambda: verdict.force_offset(data, calibration),
         lambda: verdict.alike(calibration),
         lambda: verdict.few_readings(calibration),
-        lambda: verdict.profile(calibration),
+        lambda: verdict.profile(data, calibration),
         lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
         lambda: _faults(calibration),
@@ -191,22 +184,6 @@ def _modulus(data: Measurements, calibration: Calibration) -> list[Finding]:
         "scale of pressures and forces, the indenter's radius and the nominal Young's modulus"
     )
     return [(level, words)]
-
-
-def _scale(data: Measurements, calibration: Calibration) -> list[Finding]:
-    """The scale of pressures that a learned response mends."""
-    value, sigma = calibration.unknowns.get("scale", (0.0, 1.0))
-    if calibration.response is not None:  # the scale is that of readings at the typical level
-        compression = calibration.unknowns.get("compression", (0.0, 0.0))[0]
-        value -= np.log(max(1 - calibration.response.levels[0] * compression, MIN_KEPT))
-    if data.belief.readings == RAW or abs(value) < max(np.log(MAX_SCALE), PRIOR_SIGMAS * sigma):
-        return []
-    words = (
-        f"the pressures are {np.exp(value):.2g} times those of the contact model (limit: a factor "
-        f"of {MAX_SCALE:g}): the learned response allows for it; check the scale of pressures and "
-        "forces, and the layer's thickness"
-    )
-    return [(DOUBT, words)]
 
 
 def _priors(data: Measurements, calibration: Calibration) -> list[Finding]:

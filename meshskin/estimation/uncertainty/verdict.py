@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...contact.disc import disc_mean
 from ...core.arrays import Array
 from ...scene.belief import RAW
 from ..data.sensor_range import unanswered_contacts
@@ -23,6 +24,12 @@ PASS, DOUBT, FAIL = LEVELS = ("PASS", "DOUBT", "FAIL")
 """Levels of a verdict: nothing found; check before use; do not use."""
 Finding = tuple[str, str]
 """A level and a sentence."""
+PRIOR_SIGMAS = 4.0
+"""Distance of a global parameter from zero, in standard deviations of its prior, from which it is a
+doubt: 6e-5 by chance."""
+MAX_SCALE = 1.6
+"""Factor between the readings and the pressures of the contact model, as a learned response has it,
+from which it is a doubt. A layer of the thickness of the patch changes the peak by 1.3."""
 MAX_NEGATIVE = 1e-3
 """Fraction of negative or corrupt readings, or of contacts without a positive force that have
 readings, up to which they are single accidents, which are left out."""
@@ -54,6 +61,7 @@ factor itself was 0.7 to 1.9 times what is right, on raw meshes."""
 CAUSES = (
     "the contact points are those of a surface whose facets or bumps the believed one lacks",
     "stiffness or thickness of the skin varies over the body",
+    "patches are not round, or another response than the learned one",
 )
 """What makes the errors of each of contact_correlations.KINDS alike."""
 AGREEMENT = 0.3
@@ -177,12 +185,36 @@ def few_readings(calibration: Calibration) -> list[Finding]:
     return [(DOUBT, words)]
 
 
-def profile(calibration: Calibration) -> list[Finding]:
-    """A learned profile that rises with the distance from the contact point: no contact's does."""
+def scale(data: Measurements, calibration: Calibration) -> list[Finding]:
+    """The scale of pressures that a learned response mends: the largest reading of the profile
+    against that of the nominal contact model."""
+    response = calibration.response
+    if response is None or data.belief.readings == RAW:
+        return []
+    top = int(np.argmax(response.profile))
+    reading = np.interp(response.profile[top], response.level, response.reading)
+    believed = data.nominal_peak * disc_mean(0.0, data.disc / float(np.median(data.radii)))
+    value, sigma = np.log(reading / believed), response.profile_sigma[top] / response.profile[top]
+    if abs(value) < max(np.log(MAX_SCALE), PRIOR_SIGMAS * sigma):
+        return []
+    words = (
+        f"the pressures are {np.exp(value):.2g} times those of the contact model (limit: a factor "
+        f"of {MAX_SCALE:g}): the learned response allows for it; check the scale of pressures and "
+        "forces, and the layer's thickness"
+    )
+    return [(DOUBT, words)]
+
+
+def profile(data: Measurements, calibration: Calibration) -> list[Finding]:
+    """A learned profile that rises with the distance from the contact point: no contact's does.
+
+    Below the threshold nothing is read: what the profile does there is not seen.
+    """
     response = calibration.response
     if response is None:
         return []
-    value, sigma = response.profile, response.profile_sigma
+    value = np.maximum(response.profile, response.unit * data.threshold)
+    sigma = response.profile_sigma
     lowest = np.array([int(np.argmin(value[: k + 1])) for k in range(len(value))])
     rise = value - value[lowest] - RISE_SIGMAS * np.hypot(sigma, sigma[lowest])
     k = int(np.argmax(rise))

@@ -8,7 +8,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.data.unit_checks import angles, off_surface, without_hollows
+from meshskin.estimation.data.unit_checks import angles, off_surface
 from meshskin.recording.recording import Recording
 
 RADIUS = 8e-3
@@ -72,19 +72,3 @@ def test_strays_are_left_out_and_said(noisy):
     assert "without 2 contacts that are not on the believed surface" in (
         ms.calibrate(strayed, belief).factors
     )
-
-
-def test_a_few_tight_hollows_get_a_curvature_that_the_indenter_fits(contacts):
-    """As the creases of a coarse mesh have; more than a few are a body it does not fit."""
-    body, points, _ = contacts
-    hit = body.closest(points)
-    assert without_hollows(hit, RADIUS) is hit
-    tight = hit.curvature.copy()
-    some = len(tight) // 50
-    tight[:some, 1] = -8548.0
-    few = without_hollows(replace(hit, curvature=tight), RADIUS)
-    np.testing.assert_allclose(few.curvature[:some, 1], -0.9 / RADIUS)
-    np.testing.assert_array_equal(few.curvature[some:], hit.curvature[some:])
-    tight[: 5 * some, 1] = -8548.0
-    many = replace(hit, curvature=tight)
-    assert without_hollows(many, RADIUS) is many

@@ -281,11 +281,17 @@ def test_an_overstated_noise_is_named(noisy, recorded, factor, level):
     assert any("times the stated noise" in text for text in found.verdict.reasons) == (factor > 3)
 
 
-@pytest.mark.parametrize(("bump", "sigma", "named"), [(0.2, 0.01, True), (0.2, 0.1, False)])
-def test_a_profile_that_rises_beyond_its_band_is_a_doubt(bump, sigma, named):
+@pytest.mark.parametrize(
+    ("bump", "sigma", "threshold", "named"),
+    [(0.2, 0.01, 0.05, True), (0.2, 0.1, 0.05, False), (0.2, 0.01, 0.3, False)],
+)
+def test_a_profile_that_rises_beyond_its_band_is_a_doubt(bump, sigma, threshold, named):
     r = np.linspace(0.0, 5e-3, 60)
     profile = np.exp(-((r / 2e-3) ** 2)) + bump * np.exp(-(((r - 4e-3) / 5e-4) ** 2))
-    response = SimpleNamespace(distance=r, profile=profile, profile_sigma=np.full(60, sigma))
-    found = verdict.profile(SimpleNamespace(response=response))
+    response = SimpleNamespace(
+        distance=r, profile=profile, profile_sigma=np.full(60, sigma), unit=1.0
+    )
+    data = SimpleNamespace(threshold=threshold)
+    found = verdict.profile(data, SimpleNamespace(response=response))
     assert [level for level, _ in found] == ["DOUBT"] * named
     assert all("to 4 mm" in words for _, words in found)
