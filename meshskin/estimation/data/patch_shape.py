@@ -1,9 +1,7 @@
 """The curvature of the body over a contact patch, in place of that at the contact point.
 
-A patch is pressed on all of the surface under it: beside a fillet, between the flat faces of a
-coarse mesh and along its long thin faces the curvature at one point is not the patch's. On a UR5's
-wrist (14,000 faces) readings by true contact points had residuals of 25 counts of 500 under the
-curvatures at the points, and of 11 under these.
+A patch presses on all of the surface under it: beside a fillet, between the flat faces of a coarse
+mesh and along its long thin faces the curvature at one point is not the patch's.
 """
 
 from __future__ import annotations
@@ -24,7 +22,8 @@ a few; more are a body that the indenter does not fit."""
 HOLLOW = 0.9
 """Curvature, relative to the indenter's, that hollows tighter than it are believed to have."""
 SPOKES = 6
-"""Points on each of the two rings over a patch: 12 heights for the 6 terms of a quadric."""
+"""Points on each of the two rings over a patch: with its middle 13 heights for the 6 terms of a
+quadric."""
 
 
 def _rings() -> Array:
@@ -49,9 +48,7 @@ QUADRIC = np.linalg.pinv(
         ]
     )
 )
-"""(6, k): terms of the quadric nearest to the heights at PLACES."""
-
-
+"""Matrix (6, k) from the heights at PLACES to the terms of the quadric nearest to them."""
 GRAZING = 1e-6
 """Sine of the elevation over the surface within which a point in a tangent plane is outside of it:
 far above rounding."""
@@ -77,9 +74,9 @@ def _curved(body: Body, hit: Closest, size: float) -> Closest:
     places = hit.point[:, None] + size * np.einsum("mck,pk->mpc", basis[:, :, :2], PLACES)
     places = places.reshape(-1, 3)
     above = body.surface.nearest(places, np.repeat(hit.face, len(PLACES)))
-    size_of, up = np.abs(above.distance), np.einsum("ij,ij->i", places - above.point, above.normal)
+    apart, up = np.abs(above.distance), np.einsum("ij,ij->i", places - above.point, above.normal)
     # over an edge of the body the normal there is that of one of its faces
-    height = np.where(up < -GRAZING * size_of, -size_of, size_of)
+    height = np.where(up < -GRAZING * apart, -apart, apart)
     terms = height.reshape(len(basis), -1) @ QUADRIC.T / size**2
     second = np.stack([terms[:, [3, 4]], terms[:, [4, 5]]], axis=1)
     value, vector = np.linalg.eigh(second)
