@@ -18,7 +18,7 @@ from .measurements import Measurements, nominal_patches
 from .patch_shape import over_patches
 from .raw_readings import check_pressures, nominal_pressure, pressures_above_rest
 from .registration import registered
-from .resolve_belief import resolve_belief, valid_contacts
+from .resolve_belief import contact_model, resolve_belief, valid_contacts
 from .sensor_range import check_answered, check_disc, common_end, constant_taxels, ends_of_range
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     if belief.readings != RAW:
         contacts = recording.reading_contact[read]
         check_pressures(pressure[read], contacts, index[read], points)
-    reference, material = belief.force_reference or 1.0, belief.material
+    reference = belief.force_reference or 1.0
     unit_checks.check_force(recording.force[used], reference)
     valid = np.ones(int(used.sum()), dtype=bool)
     if not learned:  # a learned response needs no valid model
@@ -82,7 +82,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         corrupt |= pressure < 0
     corrupt &= used[recording.reading_contact]
     hit, force, row = hit.take(used), recording.force[used], np.cumsum(used) - 1
-    model = contact.ContactModel(belief.contact, material.poisson, material.thickness)
+    model = contact_model(belief)
     patches = nominal_patches(model, belief, force, hit.curvature)
     if not learned:
         unit_checks.check_pressure(pressure[read], index[read], patches.peak)

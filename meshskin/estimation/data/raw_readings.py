@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...contact import ContactModel
 from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError
+from .resolve_belief import contact_model
 from .sensor_range import constant_taxels
 
 if TYPE_CHECKING:
@@ -60,14 +60,13 @@ def nominal_pressure(
         recording.pressure[known], recording.reading_contact[known], index[known],
         recording.points, belief,
     )  # fmt: skip
-    material = belief.material
     peak = (
-        ContactModel(belief.contact, material.poisson, material.thickness)
+        contact_model(belief)
         .patches(
             force=recording.force[used],
             curvature=curvature[used],
             indenter_radius=belief.indenter.radius,
-            effective_modulus=material.effective_modulus,
+            effective_modulus=belief.material.effective_modulus,
         )
         .peak
     )

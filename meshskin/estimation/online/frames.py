@@ -19,7 +19,7 @@ from ..data import unit_checks
 from ..data.gather import taxel_rows
 from ..data.global_parameters import declared_parameters
 from ..data.measurements import NOMINAL_NOISE, Measurements, nominal_patches
-from ..data.resolve_belief import resolve_belief
+from ..data.resolve_belief import contact_model, resolve_belief
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +147,7 @@ def without_contacts(belief: Belief, frames: ContactFrames) -> Measurements:
     hit = belief.body.closest(frames.points)
     unit_checks.check_points(belief.body, frames.points, hit.distance)
     belief = resolve_belief(belief, frames)  # type: ignore[arg-type]
-    material = belief.material
-    model = contact.ContactModel(belief.contact, material.poisson, material.thickness)
+    model = contact_model(belief)
     patches = nominal_patches(model, belief, frames.force, hit.curvature)
     reference, peak = belief.force_reference or 1.0, float(np.median(patches.peak))
     empty, saturation = np.empty(0, dtype=int), belief.saturation or np.inf

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...contact import AUTO, LEARNED, ContactModel
+from ...contact import AUTO, LEARNED
 from ...core.arrays import Array, nearest_rows
 from ...core.errors import ContactError
 from ...core.se3 import (
@@ -20,7 +20,7 @@ from ...core.se3 import (
     transform,
     transform_points,
 )
-from ...estimation.data.resolve_belief import resolve_belief
+from ...estimation.data.resolve_belief import contact_model, resolve_belief
 from ...geometry.mesh.triangles import Triangles
 from ...recording.recording import Recording
 from ...recording.skin_log import SkinLog
@@ -111,15 +111,14 @@ class Stage:
         """The contact in row `row` of the recording, under the believed material."""
         belief, force = self.belief, float(self.recording.force[row])
         hit = belief.body.closest(self.recording.points[row][None])
-        material = belief.material
-        model = ContactModel(belief.contact, material.poisson, material.thickness)
+        model = contact_model(belief)
         semi_axes, depth = np.full(2, np.nan), 0.0
         with suppress(ContactError):  # out of range of the model: the patch is not drawn
             found = model.patches(
                 force=np.array([force if force > 0 else belief.force_reference]),
                 curvature=hit.curvature,
                 indenter_radius=belief.indenter.radius,
-                effective_modulus=material.effective_modulus,
+                effective_modulus=belief.material.effective_modulus,
             )
             semi_axes, depth = np.array([found.first[0], found.second[0]]), float(found.depth[0])
         normal = hit.normal[0]
