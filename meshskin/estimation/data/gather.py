@@ -35,10 +35,11 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     """The measurements of a recording under a belief.
 
     Contacts without force (approach) have no patch and are left out, with their readings; so are a
-    few corrupt readings (`unit_checks.corrupt_readings`). Raises RecordingError for contacts that
-    are not finite and for many such readings, taxels read twice in a contact;
-    CalibrationError for no readings, wrong units, unknown taxel ids and headings of another shape;
-    ContactError where the contact model leaves its range.
+    few corrupt readings (`unit_checks.corrupt_readings`) and those of taxels that are stuck for a
+    while (`unit_checks.stuck_readings`). Raises RecordingError for contacts that are not finite
+    and for many such readings, taxels read twice in a contact; CalibrationError for no readings,
+    wrong units, unknown taxel ids and headings of another shape; ContactError where the contact
+    model leaves its range.
     """
     unit_checks.check_finite(recording)
     unit_checks.check_readings(recording.metadata.get("readings"), belief.readings)
@@ -63,6 +64,9 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         )
     read = used[recording.reading_contact] & (pressure > 0)
     corrupt = unit_checks.corrupt_readings(pressure, index)
+    touched = np.flatnonzero(used[recording.reading_contact] & np.isfinite(recording.pressure))
+    at = recording.points[recording.reading_contact[touched]]
+    corrupt[touched] |= unit_checks.stuck_readings(recording.pressure[touched], index[touched], at)
     read &= ~corrupt
     _require_readings(read, recording, used)
     if belief.readings != RAW:

@@ -33,6 +33,7 @@ SIZES = {
     "friction": 1,
     "scale": 1,
     "exponents": 2,
+    "aspect": 1,
     "compression": 1,
     "profile": PROFILE_SIZE,
     "hysteresis": 2,
@@ -58,6 +59,7 @@ PRIORS = {
     "friction": 1e-3,
     "scale": 0.5,
     "exponents": 0.1,
+    "aspect": 0.3,
     "compression": 0.3,
     "profile": 0.1,
     "hysteresis": 1.0,
@@ -76,9 +78,11 @@ reference peak pressures, of indenter and body offset and of drag in m. Weak on 
 ROTATION = 10.0
 """Standard deviation of the body's rotation, rad, per m of that of its translation: the rotation
 that moves a point 0.1 m from the origin as far as the translation does."""
-LEARNED = ("modulus", "scale", "exponents", "compression", "profile")
+LEARNED = ("modulus", "scale", "exponents", "aspect", "compression", "profile")
 """Global parameters of a learned response. "modulus" is then the size of the patch, "scale" the
-amplitude of the readings, both relative to the model's."""
+amplitude of the readings, both relative to the model's; the ratio of the semi-axes is the
+model's to the power 1 + "aspect". That of a half-space is about the power 2/3 of the relative
+principal curvatures' ratio, that of a thin layer 1/2: an aspect of -1/4."""
 ELECTRONICS = ("hysteresis", "crosstalk", "creep")
 """Further ones, estimated where the readings show them (joint/electronics.py)."""
 WARMING = ("gain_drift", "offset_drift")
@@ -96,7 +100,9 @@ LOGARITHMS = ("modulus", "force_scale", "scale", "gain", "mesh_scale")
 UNITS = (
     {"force_offset": "N", "joint_offset": "rad"}
     | dict.fromkeys(("joint_delay", "clock_offset"), "s")
-    | dict.fromkeys(("exponents", "compression", "force_scatter", "hysteresis", "crosstalk"), "")
+    | dict.fromkeys(
+        ("exponents", "aspect", "compression", "force_scatter", "hysteresis", "crosstalk"), ""
+    )
     | dict.fromkeys(("creep", "gain_drift", "offset_drift"), "")
 )
 """Units of global parameters that are neither lengths nor angles nor logarithms."""
@@ -198,6 +204,7 @@ class GlobalParameters:
             "friction": "contacts slide from a shear of the skin of 0 +- {:.3g} m on",
             "scale": "readings within a factor {:.3g} of the nominal pressures (1 sigma)",
             "exponents": "exponents of the patch in the load within {:.3g} of the model's",
+            "aspect": "ratio of the semi-axes, as an exponent of the model's, within {:.3g} of 1",
             "compression": "compression of strong readings 0 +- {:.3g}",
             "profile": "pressure profile within {:.3g} of the model's peak (1 sigma, smooth)",
             "hysteresis": "share of hysteresis 0 +- {:.3g}",

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ...core.arrays import Array
+from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError, RecordingError
 from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
@@ -56,6 +56,11 @@ prior: less than 10 together even at ten times the force."""
 MAX_CORRUPT = 0.01
 """Fraction of corrupt readings up to which they are left out: more are no accident of single
 numbers, but a wrong unit or a broken sensor, which the test of fit shows."""
+MIN_STUCK = 10
+"""Equal readings in a row from which a taxel may be stuck."""
+STUCK_SPREAD = 1.5
+"""Spread of their contacts, relative to that of the contacts which a taxel senses, from which it
+is: equal readings of a sound taxel lie within the latter."""
 
 
 def check_points(body: Body, points: Array, distance: Array) -> None:
@@ -184,6 +189,32 @@ def corrupt_readings(pressure: Array, taxel: np.ndarray) -> np.ndarray:
     bound[own] = np.maximum(typical, level[order[first + count // 2]])
     wild = level > CORRUPT_RATIO * bound[taxel]
     return lost if typical <= 0 or too_many_corrupt(wild) else lost | wild
+
+
+def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array) -> np.ndarray:
+    """Readings (k,) bool, in time order, of stretches in which a taxel (k,) repeats one value in
+    contacts at `points` (k, 3), m, further apart than taxels sense: their rms distance from their
+    middle is STUCK_SPREAD times that of the typical taxel's contacts.
+
+    None of taxels whose readings are all equal.
+    """
+    order = np.argsort(taxel, kind="stable")
+    owner, value, at = taxel[order], pressure[order], points[order]
+    begins = np.diff(owner, prepend=-1) != 0
+    run = np.cumsum(begins | (np.diff(value, prepend=np.nan) != 0)) - 1
+    typical = float(np.median(_spreads(at, np.cumsum(begins) - 1)[0])) if len(owner) else 0.0
+    spread, count = _spreads(at, run)
+    stuck = (count >= MIN_STUCK) & (spread > STUCK_SPREAD * typical)
+    found = np.zeros(len(taxel), dtype=bool)
+    found[order] = stuck[run] & (count[run] < np.bincount(owner)[owner])
+    return found
+
+
+def _spreads(points: Array, group: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Rms distance of the points (k, 3) of each group (k,) from their mean, and their number."""
+    count = np.bincount(group)
+    off = points - (sums_by_group(points, group, len(count)) / count[:, None])[group]
+    return np.sqrt(np.bincount(group, np.sum(off**2, axis=1)) / count), count
 
 
 def too_many_corrupt(corrupt: np.ndarray) -> bool:

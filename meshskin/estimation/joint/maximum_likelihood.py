@@ -103,7 +103,7 @@ def estimate(
         words = (estimator.faults[live[k]], RIVAL.format(1e3 * distances[k]))
         estimator.faults[live[k]] = ", ".join(filter(None, words))
     for row, count in zip(*np.unique(data.corrupt[:, 1], return_counts=True), strict=True):
-        left_out = f"{count} corrupt or negative readings left out"
+        left_out = f"{count} corrupt, stuck or negative readings left out"
         estimator.faults[row] = ", ".join(filter(None, (estimator.faults[row], left_out)))
     for row, level in zip(stuck.rows, stuck.level, strict=True):
         estimator.faults[row] = f"stuck at {level / 1e3:.3g} kPa"
