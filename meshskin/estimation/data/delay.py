@@ -24,6 +24,9 @@ the present one, below which they are late."""
 CHANCE = 1e-3
 """Probability by chance, below which so many taxels' contacts lie closer together with the readings
 moved that they are late: 10 of 10 taxels, 55 of 80."""
+KEPT = (0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
+"""Parts of the last reading that a low-pass filter keeps which are tried: time constants of 0.8 to
+20 frames."""
 MIN_USED = 0.5
 """Least part of the readings that have a contact in time at a delay: fewer do not tell of it."""
 PAUSE = 3.0
@@ -35,27 +38,55 @@ def late_frames(data: Measurements) -> int:
 
     The contacts that a taxel responds to, weighted by the square of its pressure above that at
     rest, spread least at the true delay, those of most taxels. A few touches or taxels do not show
-    it: they may spread less at others by chance.
+    it: they may spread less at others by chance. Readings that average the past by a low-pass
+    filter lag, too: they are late only by what remains without its effect.
     """
     if not data.counts.any() or np.median(data.counts[data.counts > 0]) < MIN_READINGS:
         return 0
-    weight = np.maximum(data.pressure - data.rest[data.taxel], 0.0) ** 2
+    level = np.maximum(data.pressure - data.rest[data.taxel], 0.0)
+    before = _reading_before(data, level)
 
-    def compare(frames: int) -> tuple[float, float]:
-        """Of the same readings moved, and as they are: `comparison` of the spreads."""
+    def compare(frames: int, kept: float = 0.0) -> tuple[float, float]:
+        """Of the readings moved and without a filter, and as they are: `comparison` of the spreads.
+
+        kept: the part of the last reading that the filter keeps."""
         row, used = _moved(data, -frames)
-        moved, present = (
-            spreads(data.points[at[used]], weight[used], data.taxel[used])
-            for at in (row, data.contact)
-        )
-        return comparison(moved, present) if np.mean(used) >= MIN_USED else (np.inf, 1.0)
+        if np.mean(used) < MIN_USED:
+            return np.inf, 1.0
+        felt = np.maximum(level - kept * before, 0.0)
+        moved = spreads(data.points[row[used]], felt[used] ** 2, data.taxel[used])
+        present = spreads(data.points[data.contact[used]], level[used] ** 2, data.taxel[used])
+        return comparison(moved, present)
 
-    at = {k: compare(k)[0] for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
-    best = min(at, key=lambda k: at[k])
-    step, least = int(np.sign(best)), at[best]
-    while abs(best) >= LATE_FRAMES and (beyond := compare(best + step)[0]) < least:
-        best, least = best + step, beyond
-    return best if least < LATE_GAIN and compare(best)[1] < CHANCE else 0
+    def best(kept: float) -> dict[int, float]:
+        at = {k: compare(k, kept)[0] for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
+        frames = min(at, key=lambda k: at[k])
+        step = int(np.sign(frames))
+        while (
+            abs(frames) >= LATE_FRAMES and (beyond := compare(frames + step, kept)[0]) < at[frames]
+        ):
+            frames += step
+            at[frames] = beyond
+        return at
+
+    found = best(0.0)
+    late = min(found, key=lambda k: found[k])
+    if found[late] >= LATE_GAIN or compare(late)[1] >= CHANCE:
+        return 0
+    filtered = {k: min(compare(k, kept)[0] for kept in KEPT) for k in found}
+    if (least := min(filtered.values())) >= LATE_GAIN * found[late]:
+        return late
+    return min((k for k in filtered if LATE_GAIN * filtered[k] <= least), key=abs)
+
+
+def _reading_before(data: Measurements, level: Array) -> Array:
+    """The level (k,) of the same taxel in the contact before each reading's; 0 if it was silent."""
+    order = np.lexsort((data.contact, data.taxel))
+    taxel, contact = data.taxel[order], data.contact[order]
+    follows = (np.diff(taxel, prepend=-1) == 0) & (np.diff(contact, prepend=0) == 1)
+    found = np.zeros(len(level))
+    found[order[1:]] = np.where(follows[1:], level[order[:-1]], 0.0)
+    return found
 
 
 def spreads(points: Array, weight: Array, taxel: np.ndarray) -> Array:

@@ -29,7 +29,9 @@ NOISY = 0.05
 """Noise, relative to the peak, from which forces that are recorded as equal may differ: that of
 sensors is 0.5 to 5 %."""
 MAX_SHARE = 0.8
-"""Largest share of a reading that hysteresis, creep or crosstalk have: others stand behind more."""
+"""Largest share of a reading that hysteresis or crosstalk have: others stand behind more."""
+MAX_FILTERED = 1.2
+"""Largest share of creep: 1 is that of a low-pass filter."""
 LEAST_GAIN = 0.5
 """Least increase of the log-likelihood by a departure, relative to what its score promises: 1.4 to
 5 where the readings have it, 0 to 0.1 where it stands in for another (studies/foreign_worlds.py
@@ -144,7 +146,8 @@ def plausible(extended: RandomEffects, name: str) -> bool:
     parameters = extended.data.parameters
     at = parameters.columns.get(name, slice(0, 0))
     s, sigma = extended.unknowns.s[at], parameters.sigma[at]
-    small = name not in ELECTRONICS or bool(np.all(np.abs(s[:1]) <= MAX_SHARE))
+    largest = MAX_FILTERED if name == "creep" else MAX_SHARE
+    small = name not in ELECTRONICS or bool(np.all(np.abs(s[:1]) <= largest))
     return bool(small and np.all(np.abs(s) <= MAX_SIGMAS * sigma))
 
 

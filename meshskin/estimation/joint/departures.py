@@ -36,14 +36,16 @@ WIDTHS = (0.5, 1.0, 2.0, 4.0)
 """Half-widths of the play operator that are tried, in units of WIDTH."""
 LIMITS = (0.1e-3, 0.25e-3, 0.5e-3, 1e-3)
 """Shears, m, from which contacts slide, that are tried."""
-TIMES = (0.1, 0.4, 1.5, 6.0)
+TIMES = (0.03, 0.1, 0.4, 1.5, 6.0)
 """Time constants of creep that are tried, in units of creep.TIME."""
 ONE_SIDED = ("crosstalk", "friction", "hysteresis")
 """Departures whose parameter is positive."""
 SEEN = 1e-6
 """Least information on a parameter, relative to that with known taxels: rounding is below it."""
+MAX_SHARE = 0.9
+"""Largest share of creep from which an estimate starts."""
 SHARE = 0.2
-"""Share of hysteresis and creep from which an estimate starts: at zero the width and the time
+"""Least share of hysteresis and creep from which an estimate starts: at zero the width and the time
 constant have no effect."""
 
 
@@ -86,11 +88,12 @@ class FittedReadings:
         slope, information = self.shared(columns)
         for name, size, start in zip(names, sizes, starts, strict=True):
             at = slice(end, end := end + size)
-            score, sign = _score(slope[at], information[at, at])
+            score, first = _score(slope[at], information[at, at])
             if name in ONE_SIDED:
-                score *= sign
-            elif len(start):
-                start = start * np.where(np.arange(len(start)) == 0, sign, 1.0)
+                score *= float(np.sign(first)) or 1.0
+            elif name == "creep":  # of electronics that average a large part
+                share = np.clip(abs(first), SHARE, MAX_SHARE)
+                start = np.array([np.copysign(share, first), *start[1:]])
             if name not in found or score > found[name][0]:
                 found[name] = score, start
         largest_first = dict(sorted(found.items(), key=lambda item: -item[1][0]))
@@ -209,17 +212,18 @@ class FittedReadings:
 
 
 def _score(slope: Array, information: Array) -> tuple[float, float]:
-    """Score of q parameters together, as `normal_score`, and the sign of the first one's estimate;
-    0 where the readings determine none."""
+    """Score of q parameters together, as `normal_score`, and the first one's estimate by a Newton
+    step; 0 where the readings determine none."""
     seen = np.diag(information) > 0
     slope, information = slope[seen], information[np.ix_(seen, seen)]
     if not len(slope):
-        return 0.0, 1.0
+        return 0.0, 0.0
     scale = np.sqrt(np.diag(information))
     value, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     along = (vectors.T @ (slope / scale)) * (value > SEEN) / np.maximum(value, SEEN) ** 0.5
     square, estimate = float(along @ along), vectors @ (along / np.maximum(value, SEEN) ** 0.5)
-    return normal_score(square, len(slope)), float(np.sign(estimate[0]) or 1.0)
+    first = float(estimate[0] / scale[0]) if seen[0] else 0.0
+    return normal_score(square, len(slope)), first
 
 
 def normal_score(square: float, count: int) -> float:

@@ -29,6 +29,11 @@ MIN_SPREAD = 1e-3
 changes the distances: 2 degrees."""
 GROSS = 10.0
 """Distance of a contact point, in 95th percentiles, above which it is wrong by itself."""
+MAX_SHARE = 0.8
+"""Share of creep from which it is a low-pass filter of the electronics: that of rubber is less."""
+ONE_WAY = 0.5
+"""Mean motion of a taxel's contacts, relative to the root mean square, from which they pass it in
+one direction: of three passes, one against two others makes 1/3."""
 MAX_LEFT = 0.1
 """Mean square of the taxels' mean distances that a displacement of the contact points may leave, in
 relation to that without it, beyond scatter: more is dents of the body."""
@@ -63,7 +68,8 @@ def systematic_covariance(
         wider = data.belief.surface_sigma * _growth(data, _middles(data))
         apart = np.einsum("nia,ni->na", tangents, wider)
         tangential += apart[:, :, None] * apart[:, None, :]
-    tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
+    squares = _late_squares(data, averages_the_past(unknowns))
+    tangential += np.swapaxes(tangents, 1, 2) @ squares @ tangents
     into = surface_motion(shape)
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
     out[:, 2, 2] += _normal_variance(data, hit.distance) + data.belief.surface_sigma**2
@@ -223,15 +229,17 @@ def offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> 
     return out
 
 
-def _late_squares(data: Measurements) -> Array:
+def _late_squares(data: Measurements, filtered: bool) -> Array:
     """Mean squares (n, 3, 3), m^2, of the taxels' displacements by what is left of the delay of
     readings that came too late: a part of a frame, of uniform distribution.
 
     A taxel is displaced by the mean of its contacts' displacements, which are alike in one pass
     over it and differ between passes: where these have two directions, it is found between them.
+    filtered: readings average the past; the lag of those in passes of one direction is no better
+    known, that of others is estimated.
     """
     n = len(data.ids)
-    if not data.delay:
+    if not data.delay and not filtered:
         return np.zeros((n, 3, 3))
     moved, rows = delay.displacements(data, 1)
     order = np.lexsort((data.contact[rows], data.taxel[rows]))
@@ -241,7 +249,16 @@ def _late_squares(data: Measurements) -> Array:
     number = np.cumsum(begins) - 1
     share = weight / np.maximum(np.bincount(own, weight, n), 1e-300)[own]
     mean = sums_by_group(share[:, None] * moved, own, n)
-    apart = sums_by_group(share[:, None] * (moved - mean[own]), number)
     total = mean[:, :, None] * mean[:, None, :]
-    total += sums_by_group(apart[:, :, None] * apart[:, None, :], own[begins], n)
+    if data.delay:
+        apart = sums_by_group(share[:, None] * (moved - mean[own]), number)
+        total += sums_by_group(apart[:, :, None] * apart[:, None, :], own[begins], n)
+    else:
+        square = np.bincount(own, share * np.sum(moved**2, axis=1), n)
+        total[np.sum(mean**2, axis=1) < ONE_WAY**2 * square] = 0.0
     return np.asarray(total / 12)
+
+
+def averages_the_past(unknowns: Mapping[str, tuple[float, float]]) -> bool:
+    """Whether the estimated creep is that of a low-pass filter."""
+    return unknowns.get("creep share", (0.0,))[0] > MAX_SHARE
