@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from meshskin.core.errors import RecordingError, UnknownNameError
-from meshskin.recording.log_contacts import contact_frames, joint_path, recording_of
+from meshskin.recording.log_contacts import contact_frames, forces_at, joint_path, recording_of
 from meshskin.recording.skin_log import SkinLog
 
 
@@ -30,6 +30,35 @@ def test_frames_in_contact_have_readings_and_forces(log):
     assert contact_frames(pressed).tolist() == [2]
     with pytest.raises(RecordingError, match="sign of the forces"):
         contact_frames(replace(log, force=np.zeros(4)))
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"), [(-1.0, "forces of the log are negative"), (0.0, "no force where taxels")]
+)
+def test_forces_of_the_wrong_sign_or_axis_are_named(scale, words):
+    """Few frames have a force above zero by its noise alone: they are not taken for contacts."""
+    rng, pressed = np.random.default_rng(1), np.sin(np.linspace(0.0, 20.0, 400)) > 0
+    log = SkinLog(
+        time=0.02 * np.arange(400),
+        joint_names=(),
+        joint_angles=np.empty((400, 0)),
+        taxel_ids=np.arange(1),
+        readings=np.where(pressed, 9.0, np.nan)[:, None],
+        noise=np.ones(1),
+        in_contact=pressed,
+        force=rng.normal(0.0, 0.02, 400) + 3.0 * pressed,
+    )
+    assert len(contact_frames(log)) == pressed.sum()
+    with pytest.raises(RecordingError, match=words):
+        contact_frames(replace(log, force=log.force - 3.0 * (1 - scale) * pressed))
+
+
+def test_forces_are_those_at_the_time_of_the_contact(log):
+    """Of a skin that is 50 ms late, half a frame of the log."""
+    pressed, time = replace(log, force=np.array([0.0, 2.0, np.nan, 4.0])), np.array([0.05, 0.15])
+    assert forces_at(pressed, time, 1.0) == pytest.approx([1.0, 2.5])
+    assert forces_at(pressed, np.zeros(1), 2.0) == pytest.approx(0.02)
+    assert forces_at(log, time, 2.0).tolist() == [2.0, 2.0]
 
 
 def test_joints_are_those_asked_for_in_their_order(log):

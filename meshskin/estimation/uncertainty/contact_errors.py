@@ -64,6 +64,9 @@ def systematic_covariance(
         apart = np.einsum("nia,ni->na", tangents, wider)
         tangential += apart[:, :, None] * apart[:, None, :]
     tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
+    if data.parameters.motion is not None:
+        tilted = np.einsum("nia,ni->na", tangents, _tilts(data, hit.point, hit.distance))
+        tangential += tilted[:, :, None] * tilted[:, None, :]
     into = surface_motion(shape)
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
     out[:, 2, 2] += _normal_variance(data, hit.distance) + data.belief.surface_sigma**2
@@ -101,6 +104,32 @@ def local_means(data: Measurements, distance: Array) -> tuple[Array, Array]:
     mean = np.asarray(np.bincount(data.taxel, share * h, n), dtype=float)
     scatter = float(np.sum((h - mean[data.taxel]) ** 2)) / max(len(h) - n, 1)
     return mean, np.asarray(scatter * np.bincount(data.taxel, share**2, n))
+
+
+FLAT = 0.01
+"""Mean square of the distances of contacts from a plane, relative to that along it, which the slope
+of their heights across it is regularised by: along the normal contacts hardly vary."""
+
+
+def _tilts(data: Measurements, points: Array, distance: Array) -> Array:
+    """Displacements (n, 3), m, of contacts that are computed as the points (m, 3), m, below an
+    indenter's centre, by the tilt of the real surface against the believed one.
+
+    The tilt is the slope of the distances (m,), m, across the contacts of a taxel; the centre is
+    a radius away from the contact.
+    """
+    n, weight = len(data.ids), data.pressure**2
+    total = np.maximum(np.bincount(data.taxel, weight, n), 1e-300)
+    values = np.column_stack([points, distance])[data.contact]
+    mean = sums_by_group(weight[:, None] * values, data.taxel, n) / total[:, None]
+    off = values - mean[data.taxel]
+    arm, rise = off[:, :3], off[:, 3]
+    normal = sums_by_group(weight[:, None, None] * arm[:, :, None] * arm[:, None, :], data.taxel, n)
+    trace = np.maximum(np.trace(normal, axis1=1, axis2=2), 1e-300)
+    normal += FLAT * trace[:, None, None] * np.eye(3)
+    along = sums_by_group((weight * rise)[:, None] * arm, data.taxel, n)
+    slope = np.linalg.solve(normal, along[:, :, None])[:, :, 0]
+    return np.asarray(data.belief.indenter.radius * slope)
 
 
 def _middles(data: Measurements) -> Array:

@@ -270,3 +270,19 @@ def test_a_motion_points_where_the_contact_points_were_moved():
     )
     found = contact_errors.motion(data, points, normals @ moved, normals)
     np.testing.assert_allclose(found.at(points).mean(axis=0), moved, atol=1e-6)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.03])
+def test_contacts_under_a_tilted_surface_are_displaced_by_the_radius(slope):
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(-5e-3, 5e-3, (300, 2)), np.zeros(300)])
+    data = SimpleNamespace(
+        ids=np.arange(2),
+        taxel=np.repeat([0, 1], 150),
+        contact=np.arange(300),
+        pressure=rng.uniform(1.0, 2.0, 300),
+        belief=SimpleNamespace(indenter=SimpleNamespace(radius=0.01)),
+    )
+    height = slope * points[:, 0] + rng.normal(0.0, 1e-6, 300)
+    found = contact_errors._tilts(data, points, height)
+    np.testing.assert_allclose(found, np.tile([0.01 * slope, 0.0, 0.0], (2, 1)), atol=1e-5)
