@@ -18,10 +18,6 @@ from .recording import CONTACTS, JOINT_ANGLES, NOMINAL, READINGS, Recording
 from .skin_log import SkinLog
 from .tare import MAD
 
-NOMINAL_FORCE = 1.0
-"""Force, N, where neither log nor belief has one: the learned response scales with it."""
-FAINT_FORCE = 0.01
-"""Least force, relative to the typical one: a contact presses."""
 MIN_JUDGED = 20
 """Frames in contact from which the median of their forces is judged."""
 MAX_MISSING = 0.2
@@ -97,27 +93,6 @@ def _check_forces(force: Array, in_contact: np.ndarray) -> None:
             limit=f"its noise, {noise:.3g} N",
             remedy="check the wrench's axis in the map, and its clock, or leave the wrench out",
         )
-
-
-def typical_force(log: SkinLog) -> float:
-    """Median force, N, in the frames in contact of a log; the nominal one without forces."""
-    if log.force is None:
-        return NOMINAL_FORCE
-    return float(np.median(log.force[contact_frames(log)]))
-
-
-def forces_at(log: SkinLog, time: Array, reference: float) -> Array:
-    """Forces (m,), N, at times (m,), s: those of a log, or the reference; at least a FAINT_FORCE of
-    it.
-
-    The wrench is on the clock of the joints: where the skin's stamps are late, the force of a
-    contact is that of an earlier time.
-    """
-    if log.force is None:
-        return np.full(len(time), reference)
-    known = np.isfinite(log.force)
-    force = np.interp(time, log.time[known], log.force[known])
-    return np.asarray(np.maximum(force, FAINT_FORCE * reference))
 
 
 def recording_of(

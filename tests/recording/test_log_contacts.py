@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from meshskin.core.errors import RecordingError, UnknownNameError
-from meshskin.recording.log_contacts import contact_frames, forces_at, joint_path, recording_of
+from meshskin.recording.log_contacts import contact_frames, joint_path, recording_of
 from meshskin.recording.skin_log import SkinLog
 
 
@@ -51,14 +51,6 @@ def test_forces_of_the_wrong_sign_or_axis_are_named(scale, words):
     assert len(contact_frames(log)) == pressed.sum()
     with pytest.raises(RecordingError, match=words):
         contact_frames(replace(log, force=log.force - 3.0 * (1 - scale) * pressed))
-
-
-def test_forces_are_those_at_the_time_of_the_contact(log):
-    """Of a skin that is 50 ms late, half a frame of the log."""
-    pressed, time = replace(log, force=np.array([0.0, 2.0, np.nan, 4.0])), np.array([0.05, 0.15])
-    assert forces_at(pressed, time, 1.0) == pytest.approx([1.0, 2.5])
-    assert forces_at(pressed, np.zeros(1), 2.0) == pytest.approx(0.02)
-    assert forces_at(log, time, 2.0).tolist() == [2.0, 2.0]
 
 
 def test_joints_are_those_asked_for_in_their_order(log):

@@ -22,13 +22,7 @@ from ...core.progress import Progress
 from ...core.se3 import inverse
 from ...core.value import Value
 from ...geometry.body import Body
-from ...recording.log_contacts import (
-    contact_frames,
-    forces_at,
-    joint_path,
-    recording_of,
-    typical_force,
-)
+from ...recording.log_contacts import contact_frames, joint_path, recording_of
 from ...recording.recording import Recording
 from ...recording.skin_log import SkinLog
 from ...robot.contact_kinematics import ContactKinematics, JointPath
@@ -36,8 +30,9 @@ from ...scene.belief import RAW, Belief
 from ...scene.contact_motion import ContactMotion
 from ..calibrate import calibrate
 from ..calibration import Calibration
+from ..data.patch_shape import fitting, over_patches
 from .clock import first_offset
-from .heights import Heights, contact_depths, depths, surface_heights, timed_by_the_fastest
+from .heights import Heights, depths, surface_heights, timed_by_the_fastest
 from .joint_residuals import JointResidual, joint_residuals
 from .mesh_error import MeshError
 from .plausible import check_on_body
@@ -54,9 +49,8 @@ MAX_ROUNDS = 5
 LINEAR = 2e-6
 """Median displacement, m, of contacts from where the linear table put them, up to which it holds: a
 tenth of the best calibrations' standard deviations."""
-TIMED = 2e-3
-"""Change of the clocks' offset, s, up to which forces stay those of their contacts: at the onset of
-a contact they rise within tens of ms."""
+NOMINAL_FORCE = 1.0
+"""Force, N, where neither log nor belief has one: the learned response scales with it."""
 SURPRISE = 3.5
 """Standard deviations before any measurement beyond which an unknown contradicts what was believed:
 one of 20 sound ones is with a probability of 1 %."""
@@ -225,37 +219,33 @@ def calibrate_log(
             value='readings="pressure", no force in the log',
             remedy='give the belief readings="raw", or a log with forces',
         )
-    reference = belief.force_reference or typical_force(log)
+    reference = belief.force_reference
+    if reference is None:
+        pressed = [] if log.force is None else log.force[contact_frames(log)]
+        reference = float(np.median(pressed)) if len(pressed) else NOMINAL_FORCE
     belief = replace(belief, force_reference=reference)
-    used, clock, heights, x = _started(log, kinematics, path, belief, reference)
+    log, clock, heights, x = _started(log, kinematics, path, belief, reference)
     belief = replace(belief, surface_sigma=heights.mesh_error.sigma)
-    kinematics, time, rows = heights.model, heights.time, np.arange(len(used.time))
+    kinematics, time, force = heights.model, heights.time, _forces(log, reference)
+    frames = np.arange(len(log.time))
     as_believed = np.zeros(len(x))
     if clock:
         as_believed[kinematics.columns["clock_offset"]] = -clock
     before = heights.residuals(as_believed)[0]
-    rounds, moved = 0, np.inf
-    while rounds < MAX_ROUNDS and moved > LINEAR:
+    rounds, moved = 0, np.full((1, 3), np.inf)
+    while rounds < MAX_ROUNDS and float(np.median(np.linalg.norm(moved, axis=1))) > LINEAR:
         rounds += 1
         told, s = heights.linearized(x), x[:-1]
-        force = forces_at(log, time - kinematics.value("clock_offset", s), reference)
         centres, slopes = kinematics.centres(path, time, s)
         u = np.linalg.pinv(told.root) @ (s - told.mean)
         motion = ContactMotion(kinematics.labels, kinematics.sigma, slopes, told.mean, told.root, u)
         _, points, normals = surface_heights(kinematics, belief.body, centres, s)
         off = points + told.residuals[:, None] * normals
-        recording = recording_of(used, rows, off, normals, force, belief.readings)
+        recording = recording_of(log, frames, off, normals, force, belief.readings)
         corrected = _corrected(belief, kinematics, s, motion)
         found = calibrate(recording, corrected, progress=progress)
         values = np.array([found.unknowns[label][0] for label in kinematics.labels])
-        late = kinematics.value("clock_offset", values)
-        bent = kinematics.centres(path, time, values)[0] - centres - slopes @ (values - s)
-        moved = float(np.median(np.linalg.norm(bent, axis=1)))
-        timed = abs(late - kinematics.value("clock_offset", s)) <= TIMED
-        if rounds == 1 and log.force is not None and not timed:
-            force = forces_at(log, time - late, reference)
-            depth = contact_depths(kinematics, path, time, belief, force, values)[0]
-            heights, moved = replace(heights, depth=depth), np.inf
+        moved = kinematics.centres(path, time, values)[0] - centres - slopes @ (values - s)
         x = heights.with_depth(values)
     after, factor = heights.residuals(x)[0], float(np.exp(x[-1]))
     by_joint = joint_residuals(kinematics, path, time, belief.body, after, x[:-1])
@@ -305,11 +295,16 @@ def _started(
         above = surface_heights(timed, belief.body, centres, s)[0]
         depth = float(depths(belief, np.zeros((1, 2)), np.array([reference]))[0])
         used = steady(log, frames, centres, above, depth, belief.indenter.radius)
-        time, force = used.time - clock, forces_at(log, used.time - clock, reference)
+        time, force = used.time - clock, _forces(used, reference)
         timed = timed_by_the_fastest(kinematics, path, time, belief.body)
         heights, x = _heights(timed, path, time, belief, force)
         s = x[:-1]
     return used, clock, heights, x
+
+
+def _forces(log: SkinLog, reference: float) -> Array:
+    """Forces (n,), N, of the frames of a log: its own, or the reference."""
+    return np.full(len(log.time), reference) if log.force is None else log.force
 
 
 def _heights(
@@ -322,7 +317,10 @@ def _heights(
     """The heights of the contacts, and x (K + 1,) that meets them."""
     x = np.zeros(len(kinematics.labels) + 1)
     for _ in range(HEIGHT_FITS):
-        depth, hit = contact_depths(kinematics, path, time, belief, force, x[:-1])
+        centres, _ = kinematics.centres(path, time, x[:-1])
+        hit = over_patches(belief, belief.body.closest(centres), force)
+        hit = fitting(hit, belief.indenter.radius)  # before the fit, contacts are anywhere
+        depth = depths(belief, hit.curvature, force)
         error = MeshError.of(belief.body, hit, belief.surface_sigma)
         heights = Heights(kinematics, path, time, belief.body, belief.indenter.radius, depth, error)
         x = heights.fit(x)

@@ -22,10 +22,8 @@ from ...contact import BATCHED, ContactModel
 from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError
 from ...geometry.body import Body
-from ...geometry.surface.closest_point import Closest
 from ...robot.contact_kinematics import DELAYS, JOINTS, ContactKinematics, JointPath
 from ...scene.belief import Belief
-from ..data.patch_shape import fitting, over_patches
 from .mesh_error import CELL, MeshError
 
 MAX_ITERATIONS = 25
@@ -239,21 +237,6 @@ def depths(belief: Belief, curvature: Array, force: Array) -> Array:
         effective_modulus=material.effective_modulus,
     )
     return np.asarray(patches.depth)
-
-
-def contact_depths(
-    model: ContactKinematics,
-    path: JointPath,
-    time: Array,
-    belief: Belief,
-    force: Array,
-    s: Array,
-) -> tuple[Array, Closest]:
-    """Depths (m,), m, of contacts at times (m,), s, under forces (m,), N, with the unknowns s (K,),
-    and the surface there."""
-    hit = belief.body.closest(model.centres(path, time, s)[0])
-    hit = fitting(over_patches(belief, hit, force), belief.indenter.radius)  # not yet on the body
-    return depths(belief, hit.curvature, force), hit
 
 
 def surface_heights(
