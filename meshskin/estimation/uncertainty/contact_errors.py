@@ -267,8 +267,9 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
         rests.append(distance - (size @ distance) / max(float(size @ size), 1e-300) * size)
     squares = [float(np.sum(rest**2)) for rest in rests]
     whole, (simple, scatter) = left(distance)[0], left(rests[int(np.argmin(squares))])
-    mesh = getattr(data.body, "mesh", None)  # an exact surface has none
-    bounds = mesh.bounds if mesh else np.stack([points.min(axis=0), points.max(axis=0)])
+    facets = getattr(data.body, "facets", None)  # an exact surface has none
+    corners = points if facets is None else facets.vertices
+    bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
     found = Motion.explaining(bounds, points, distance, normals)
     if sum(left(distance - np.sum(normals * found.at(points), axis=1))) < MAX_LEFT * simple:
         return found
