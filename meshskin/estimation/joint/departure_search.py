@@ -32,6 +32,8 @@ MAX_SHARE = 0.8
 """Largest share of a reading that hysteresis or crosstalk have: others stand behind more."""
 MAX_FILTERED = 1.2
 """Largest share of creep: 1 is that of a low-pass filter."""
+FILTER_LIFT = 0.05
+"""Prior standard deviation of the lift of a low-pass filter, which works all the time."""
 LEAST_GAIN = 0.5
 """Least increase of the log-likelihood by a departure, relative to what its score promises: 1.4 to
 5 where the readings have it, 0 to 0.1 where it stands in for another (studies/foreign_worlds.py
@@ -181,7 +183,10 @@ def _extended(
     parameters are `start`; none where every taxel has its own."""
     p, sigma = effects.data.parameters, PRIORS[name]
     if len(start):
-        p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, np.full(len(start), sigma)))
+        own = np.full(len(start), sigma)
+        if name == "creep" and abs(start[0]) > MAX_SHARE:
+            own[2] = FILTER_LIFT
+        p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, own))
         u = replace(u, s=np.append(u.s, start))
     else:
         peak = effects.data.nominal_peak

@@ -31,11 +31,6 @@ MIN_SPREAD = 1e-3
 changes the distances: 2 degrees."""
 GROSS = 10.0
 """Distance of a contact point, in 95th percentiles, above which it is wrong by itself."""
-MAX_SHARE = 0.8
-"""Share of creep from which it is a low-pass filter of the electronics: that of rubber is less."""
-ONE_WAY = 0.5
-"""Mean motion of a taxel's contacts, relative to the root mean square, from which they pass it in
-one direction: of three passes, one against two others makes 1/3."""
 TRIALS, RATIO = 25, 1.0
 """Standard deviations of a motion that are tried, a factor of 1.33 apart, and that of the logarithm
 of the ratio of its turn's to that of its shift."""
@@ -72,8 +67,7 @@ def systematic_covariance(
         wider = data.belief.surface_sigma * _growth(data, _middles(data))
         apart = np.einsum("nia,ni->na", tangents, wider)
         tangential += apart[:, :, None] * apart[:, None, :]
-    squares = _late_squares(data, averages_the_past(unknowns))
-    tangential += np.swapaxes(tangents, 1, 2) @ squares @ tangents
+    tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
     if data.parameters.motion is not None:
         tilted = np.einsum("nia,ni->na", tangents, tilts(data, hit.point, hit.distance))
         tangential += tilted[:, :, None] * tilted[:, None, :]
@@ -310,17 +304,15 @@ def offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> 
     return out
 
 
-def _late_squares(data: Measurements, filtered: bool) -> Array:
+def _late_squares(data: Measurements) -> Array:
     """Mean squares (n, 3, 3), m^2, of the taxels' displacements by what is left of the delay of
     readings that came too late: a part of a frame, of uniform distribution.
 
     A taxel is displaced by the mean of its contacts' displacements, which are alike in one pass
     over it and differ between passes: where these have two directions, it is found between them.
-    filtered: readings average the past; the lag of those in passes of one direction is no better
-    known, that of others is estimated.
     """
     n = len(data.ids)
-    if not data.delay and not filtered:
+    if not data.delay:
         return np.zeros((n, 3, 3))
     moved, rows = delay.displacements(data, 1)
     order = np.lexsort((data.contact[rows], data.taxel[rows]))
@@ -330,16 +322,7 @@ def _late_squares(data: Measurements, filtered: bool) -> Array:
     number = np.cumsum(begins) - 1
     share = weight / np.maximum(np.bincount(own, weight, n), 1e-300)[own]
     mean = sums_by_group(share[:, None] * moved, own, n)
+    apart = sums_by_group(share[:, None] * (moved - mean[own]), number)
     total = mean[:, :, None] * mean[:, None, :]
-    if data.delay:
-        apart = sums_by_group(share[:, None] * (moved - mean[own]), number)
-        total += sums_by_group(apart[:, :, None] * apart[:, None, :], own[begins], n)
-    else:
-        square = np.bincount(own, share * np.sum(moved**2, axis=1), n)
-        total[np.sum(mean**2, axis=1) < ONE_WAY**2 * square] = 0.0
+    total += sums_by_group(apart[:, :, None] * apart[:, None, :], own[begins], n)
     return np.asarray(total / 12)
-
-
-def averages_the_past(unknowns: Mapping[str, tuple[float, float]]) -> bool:
-    """Whether the estimated creep is that of a low-pass filter."""
-    return unknowns.get("creep share", (0.0,))[0] > MAX_SHARE
