@@ -172,6 +172,25 @@ class FittedReadings:
         information[lost] = information[:, lost] = 0.0
         return np.where(lost, 0.0, slope), information
 
+    def unexplained(self, columns: Array) -> tuple[Array, Array]:
+        """What other unknowns do not explain of `columns` (k, q), derivatives of the readings in
+        parameters that all taxels share; and what those other than the errors of the contacts do
+        not, whose products with `rate` are the terms of the marginal likelihood's derivative."""
+        if self.system is not None:
+            weighted = self.curvature[:, None] * columns
+            taxels, contacts, shared = self.system.solve(
+                *self.system.transposed(self.jacobian, weighted)
+            )
+            left = columns - self.system.forward(self.jacobian, (taxels, contacts, shared))
+            fixed = taxels, np.zeros_like(contacts), shared
+            return left, columns - self.system.forward(self.jacobian, fixed)
+        scale, taxel = self._own_information[0], self.readings.taxel
+        left = columns.copy()
+        for k, column in enumerate(columns.T):
+            found = self._solved(self._coupling(column)) / scale
+            left[:, k] -= np.einsum("ak,ka->k", self.own, found[taxel])
+        return left, left
+
     def _moments(self, column: Array) -> tuple[Array, Array]:
         """Derivative (n,) of the log-likelihood of each taxel in a parameter with the derivatives
         `column` (k,), and its information where the taxel's own unknowns are estimated."""
