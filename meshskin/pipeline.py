@@ -17,7 +17,7 @@ import numpy as np
 
 from .core import arrow
 from .core.arguments import check_integer
-from .core.atomic_io import check_folder, write_json
+from .core.atomic_io import check_folder, remove_results, write_json
 from .core.deadline import (
     FIGURE_SECONDS,
     IMPORT_SECONDS,
@@ -46,11 +46,6 @@ if TYPE_CHECKING:
     from .study.sensitivity.first_run import FirstRun
     from .study.sensitivity.request import Request
 
-RESULTS = (
-    "calibration.parquet", "calibration.csv", "metrics.json", "report.html", "corrected.urdf",
-)  # fmt: skip
-"""Files that a calibration writes; those of an earlier recording are removed."""
-
 
 @dataclass(frozen=True)
 class Result:
@@ -65,12 +60,6 @@ class Result:
     metrics: dict[str, Any]
     budget: BudgetReport | None = None
     """The decisions of the error budget; None: the scene has no budget."""
-
-
-def remove_results(folder: Path) -> None:
-    """Remove the result files of an earlier recording."""
-    for name in RESULTS:
-        (folder / name).unlink(missing_ok=True)
 
 
 def run(
@@ -236,7 +225,7 @@ def _force(recording: Recording, scene: Scene) -> ForceResponse:
     time, force, reference = (
         arrow.values(motion.column(name)) for name in ("time", "force", "reference")
     )
-    return force_response(time, force, reference, motion.column("phase").to_pylist())
+    return force_response(time, force, reference, arrow.words(motion.column("phase")))
 
 
 def _assess(

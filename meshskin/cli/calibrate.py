@@ -77,10 +77,9 @@ def command(options: argparse.Namespace) -> int:
 
 def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple[Calibration, str]:
     """The calibration, whose results are written, and the summary."""
-    from ..core.atomic_io import check_folder, write_json
+    from ..core.atomic_io import check_folder, remove_results, write_json
     from ..core.provenance import provenance
     from ..estimation.calibrate import calibrate
-    from ..pipeline import remove_results
 
     export = Export.of(options)
     clock = perf_counter()

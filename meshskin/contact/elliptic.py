@@ -75,8 +75,7 @@ def root_aspect(curvature: Any, indenter_radius: Any) -> Any:
 
 
 def exact_factors(log_ratio: float) -> tuple[float, float, float]:
-    """Aspect, size and depth at ln(B/A) = `log_ratio` >= 0, by root finding on the equations."""
-    from scipy.optimize import brentq
+    """Aspect, size and depth at ln(B/A) = `log_ratio` >= 0, by bisection of the equations."""
     from scipy.special import elliprd, elliprf
 
     def gap(log_aspect: float) -> tuple[float, float]:
@@ -88,7 +87,9 @@ def exact_factors(log_ratio: float) -> tuple[float, float, float]:
         return math.log(b / a) - log_ratio
 
     circle = log_ratio < 1e-9  # below, rounding dominates the root, and the limit 2/3 is exact
-    root = 0.0 if circle else brentq(excess, 0.0, log_ratio, xtol=1e-16, rtol=1e-15)
+    root, high = 0.0, 0.0 if circle else log_ratio
+    while root < (middle := 0.5 * (root + high)) < high:  # until no number lies between
+        root, high = (middle, high) if excess(middle) < 0 else (root, middle)
     size = (2 * sum(gap(root)) / math.pi) ** (1 / 3)
     depth = 2 / math.pi / size * elliprf(0, math.exp(root), math.exp(-root))
     return (2 / 3 if circle else root / log_ratio), size, float(depth)

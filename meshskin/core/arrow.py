@@ -54,13 +54,12 @@ def values(column: pa.ChunkedArray) -> np.ndarray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def equals(column: pa.ChunkedArray, text: str) -> np.ndarray:
-    """Where a column of texts, or of texts by dictionary, is `text` (n,) bool."""
+def words(column: pa.ChunkedArray) -> np.ndarray:
+    """The texts (n,) str of a column of texts, or of texts by dictionary."""
     if not pa.types.is_dictionary(column.type):
-        return np.array([value == text for value in column.to_pylist()], dtype=bool)
-    found = [np.zeros(0, dtype=bool)]
+        return np.array(column.to_pylist(), dtype=str)
+    found = [np.zeros(0, dtype=str)]
     for chunk in column.chunks:
-        words = chunk.dictionary.to_pylist()
-        code = words.index(text) if text in words else -1
-        found.append(np.from_dlpack(chunk.indices) == code)
+        known = np.array(chunk.dictionary.to_pylist(), dtype=str)
+        found.append(known[np.from_dlpack(chunk.indices)])
     return np.concatenate(found)

@@ -13,6 +13,11 @@ from typing import Any
 
 from .errors import OutputError
 
+RESULTS = (
+    "calibration.parquet", "calibration.csv", "metrics.json", "report.html", "corrected.urdf",
+)  # fmt: skip
+"""Files that a calibration writes; those of an earlier recording are removed."""
+
 
 def output_error(
     path: Path, error: OSError, remedy: str = "choose a folder that you may write to (--out)"
@@ -58,6 +63,12 @@ def check_writable(path: Path) -> None:
     with atomic(probe):
         pass
     probe.unlink()
+
+
+def remove_results(folder: Path) -> None:
+    """Remove the result files of an earlier recording."""
+    for name in RESULTS:
+        (folder / name).unlink(missing_ok=True)
 
 
 def write_text(path: str | Path, text: str) -> None:

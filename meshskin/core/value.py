@@ -45,10 +45,10 @@ def same_content(a: Any, b: Any) -> bool:
         return True
     if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
         return _same_arrays(np.asarray(a), np.asarray(b))
+    if all(hasattr(mesh, part) for mesh in (a, b) for part in ("vertices", "faces")):
+        return _same_arrays(a.vertices, b.vertices) and _same_arrays(a.faces, b.faces)
     if type(a) is not type(b):
         return bool(a == b)
-    if hasattr(a, "vertices") and hasattr(a, "faces"):  # trimesh.Trimesh
-        return _same_arrays(a.vertices, b.vertices) and _same_arrays(a.faces, b.faces)
     if dataclasses.is_dataclass(a):
         names = [f.name for f in dataclasses.fields(a) if f.compare]
         return all(same_content(getattr(a, name), getattr(b, name)) for name in names)

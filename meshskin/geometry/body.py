@@ -50,13 +50,29 @@ class Exact(Protocol):
         ...
 
 
+class _Mesh:
+    """The field `mesh` of a body: a trimesh.Trimesh, which imports slowly, is made on first use."""
+
+    def __get__(self, body: Body | None, owner: type) -> Any:
+        if body is None:
+            raise AttributeError  # the field has no default
+        if isinstance(held := vars(body)["mesh"], Triangles):
+            import trimesh
+
+            self.__set__(body, trimesh.Trimesh(held.vertices, held.faces, process=False))
+        return vars(body)["mesh"]
+
+    def __set__(self, body: Body, mesh: Any) -> None:
+        vars(body)["mesh"] = mesh
+
+
 @dataclass(frozen=True, eq=False)
 class Body(Value, Card):
     """A closed surface in the body frame, in m."""
 
     name: str
     """stem of the file name, or kind of primitive"""
-    mesh: Any
+    mesh: Any = _Mesh()
     """trimesh.Trimesh, in m, counter-clockwise faces seen from outside"""
     exact: Exact | None = None
     """the exact surface, of a primitive"""
@@ -74,7 +90,7 @@ class Body(Value, Card):
     """faces (k,) known to intersect others, or to have edges of more than two faces: near them the
     sign of a distance is decided by the winding number"""
     robot_mesh: Any | None = field(default=None, repr=False)
-    """the mesh (trimesh.Trimesh) that the software of a robot has of the body; None: `mesh`"""
+    """the mesh that the software of a robot has of the body; None: `mesh`"""
 
     def __repr__(self) -> str:
         size = " x ".join(f"{1e3 * x:.4g}" for x in self.mesh.extents)
@@ -101,13 +117,13 @@ class Body(Value, Card):
 
     @property
     def facets(self) -> Any:
-        """The flat mesh, trimesh.Trimesh in m, that the software of a robot has of the body."""
-        return self.mesh if self.robot_mesh is None else self.robot_mesh
+        """The flat mesh, `vertices` (n, 3), m, and `faces`, of the robot's software."""
+        return vars(self)["mesh"] if self.robot_mesh is None else self.robot_mesh
 
     @cached_property
     def surface(self) -> Surface:
         """The smooth surface, fitted on first use."""
-        return Surface(self.mesh, self.seams, self.degree, self.crossed)
+        return Surface(vars(self)["mesh"], self.seams, self.degree, self.crossed)
 
     def closest(self, points: ArrayLike, face: ArrayLike | None = None) -> Closest:
         """Closest points of the smooth surface to `points` (n, 3), body frame, m.
@@ -200,14 +216,11 @@ class Body(Value, Card):
     @classmethod
     def _from_triangles(cls, name: str, raw: Triangles, open: bool) -> Body:
         """The body of the triangles of a file, checked and repaired. Raises MeshError."""
-        import trimesh
-
         found = check_mesh(raw.vertices, raw.faces, open)
         for finding in found.refused:
             raise finding.error()
         check_extent(found.vertices)
-        mesh = trimesh.Trimesh(found.vertices, found.faces, process=False)
-        patches = found.patches(raw.names)
+        mesh, patches = Triangles(found.vertices, found.faces), found.patches(raw.names)
         return cls(name, mesh, None, found.repairs, patches, crossed=found.crossed)
 
     def remeshed(self, faces: int) -> Body:
@@ -302,11 +315,8 @@ class Body(Value, Card):
         exact: Exact,
         seams: NDArray[np.intp] | None = None,
     ) -> Body:
-        import trimesh
-
         check_extent(vertices)
-        mesh = trimesh.Trimesh(vertices, faces, process=False)
-        return cls(name, mesh, exact, seams=seams)
+        return cls(name, Triangles(vertices, faces), exact, seams=seams)
 
 
 _PRIMITIVES: dict[type, Callable[..., Body]] = {
@@ -331,8 +341,7 @@ def _check_sizes(faces: int, **lengths: float) -> None:
     check_integer("number of faces", faces, least=1, most=MAX_FACES, error=MeshError)
     for name, value in lengths.items():
         check_real(f"{name} of a primitive", value, "m", above=0.0, error=MeshError)
-    slender = max(lengths.values()) / min(lengths.values())
-    if slender > MAX_ASPECT:
+    if (slender := max(lengths.values()) / min(lengths.values())) > MAX_ASPECT:
         raise MeshError(
             "the ratio of the lengths of a primitive is too large",
             value=f"{' : '.join(lengths)} of {slender:.3g}",

@@ -18,6 +18,15 @@ from .surface.closest_point import Closest
 
 MIN_TANGENT = 1e-9
 """norm of a tangent below which it is rounding, and any other is taken"""
+ICOSAHEDRON = 0.5257311121191336, 0.85065080835204
+"""The coordinates of the vertices of the unit icosahedron other than zero."""
+ICOSAHEDRON_FACES = (
+    (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11),
+    (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8),
+    (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9),
+    (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
+)  # fmt: skip
+"""The vertices of its faces: vertices are four on each coordinate plane, xy, yz and zx."""
 
 
 def _points(points: ArrayLike) -> Array:
@@ -182,12 +191,28 @@ class Ellipsoid:
 
 def sphere_mesh(faces: int) -> tuple[Array, Index]:
     """Unit icosphere with the number of faces 20 * 4^k nearest (in ratio) to `faces`."""
-    from trimesh.creation import icosphere
-
     level = max(0, round(float(np.log(max(faces, 20) / 20.0) / np.log(4.0))))
-    mesh = icosphere(subdivisions=level)
-    vertices = np.array(mesh.vertices)
-    return vertices / np.linalg.norm(vertices, axis=1, keepdims=True), np.array(mesh.faces)
+    (a, b), triangles = ICOSAHEDRON, np.array(ICOSAHEDRON_FACES)
+    signs = np.array([(-1, 1), (1, 1), (-1, -1), (1, -1)])
+    corners = np.column_stack([signs * (a, b), np.zeros(4)])  # (4, 3)
+    vertices = np.concatenate([np.roll(corners, k, axis=1) for k in range(3)])
+    for _ in range(level):
+        vertices, triangles = _divided(vertices, triangles)
+        length = np.sqrt(np.dot(vertices**2, [1, 1, 1]))[:, None]
+        vertices += vertices / length * (1.0 - length)
+    return vertices / np.linalg.norm(vertices, axis=1, keepdims=True), triangles
+
+
+def _divided(vertices: Array, triangles: Index) -> tuple[Array, Index]:
+    """Every triangle divided into four at the midpoints of its edges, which come last."""
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, first, inverse = np.unique(
+        edges[:, 0] + len(vertices) * edges[:, 1], return_index=True, return_inverse=True
+    )
+    middle = vertices[edges[first]].mean(axis=1)
+    (i, j, k), (ij, jk, ki) = triangles.T, len(vertices) + inverse.reshape(-1, 3).T
+    parts = np.stack([i, ij, ki, ij, j, jk, ki, jk, k, ij, jk, ki], axis=1)
+    return np.concatenate([vertices, middle]), parts.reshape(-1, 3)
 
 
 def ellipsoid_mesh(radii: Array, faces: int) -> tuple[Array, Index]:

@@ -75,9 +75,10 @@ def force(folder: Path, data: ReportData) -> SavedFigure | None:
     time, values, goal = column["time"], column["force"], column["reference"]
     phase, steady = None, None
     if "phase" in recording.motion.column_names:
-        phase = recording.motion.column("phase").to_pylist()
+        phase = arrow.words(recording.motion.column("phase"))
         values = np.where(np.isin(phase, CONTROLLED_PHASES), values, np.nan)
-        steady = np.equal(phase, "slide") if "slide" in phase else None
+        sliding = phase == "slide"
+        steady = sliding if sliding.any() else None
     settling = force_response(time, column["force"], goal, phase).settling
     return _save(
         folder,

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import Array
 from ..geometry.body import Body
+from ..geometry.primitives import capsule_mesh
 from ..geometry.surface.fans import vertex_normals
 from ..recording.recording import Recording
 from . import markup, theme
@@ -25,9 +26,9 @@ MAX_FACES = 5000
 """Most faces of the body in the page: 0.1 MB."""
 SUNK = 1e-3
 """Depth of the contacts below the body, m, from which it hides them."""
-FIELD_OF_VIEW = 0.31
-"""Tangent of half the angle that the body takes of the height of the view: three quarters of what
-plotly's camera sees, so that the numbers at the axes are in view."""
+FIELD_OF_VIEW = 0.36
+"""Tangent of half the angle that the axes take of the height of the view: 0.87 of what plotly's
+camera sees, so that their numbers and titles are in view."""
 WIDTH = 1.6
 """Width of the view in its height, at least."""
 FRAME_LENGTH = 0.4
@@ -105,8 +106,6 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
 
     positions (n, 3), m; covariances (n, 3, 3), m^2, body frame; rows must be finite to be drawn.
     """
-    from trimesh.creation import uv_sphere
-
     good = np.isfinite(positions).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
     if not good.any():
         return None
@@ -114,8 +113,7 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
     sigma = np.sqrt(np.maximum(values, 0.0))
     factor, short = drawn_scale(sigma[:, 2], wanted)
     every = -(-int(good.sum()) // _MAX_FRAMES)
-    sphere = uv_sphere(count=(6, 12) if good.sum() <= 150 else (4, 8))
-    ball, faces = np.asarray(sphere.vertices), np.asarray(sphere.faces)
+    ball, faces, _ = capsule_mesh(1.0, 0.0, faces=200 if good.sum() <= 150 else 72)
     axes = ((factor * short)[:, None, None] * sigma[:, None, :] * vectors)[::every]
     cut = int(np.sum(short < 1.0))
     points = positions[good][::every, None] + np.einsum("nij,vj->nvi", axes, ball)
@@ -257,7 +255,8 @@ def layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
         return {"center": vector(centre), "eye": vector(eye), "up": vector(up)}
 
     around = plane.origin + radius * np.concatenate([np.eye(3), -np.eye(3)])
-    cameras = {"whole body": camera(middle, extent), "skin": camera(plane.origin, around)}
+    corners = np.stack(np.meshgrid(*np.stack([low, high]).T), axis=-1).reshape(-1, 3)
+    cameras = {"whole body": camera(middle, corners), "skin": camera(plane.origin, around)}
     return {
         "scene": {
             **axes,

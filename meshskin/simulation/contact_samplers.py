@@ -85,7 +85,7 @@ def settled_contacts(recording: Recording) -> Recording:
     if recording.motion is None:
         raise CalibrationError("a recording without motion has no phases to tell touches apart")
     motion = recording.motion
-    slide = np.asarray(motion.column("phase").to_pylist()) == PHASES[SLIDE]
+    slide = arrow.words(motion.column("phase")) == PHASES[SLIDE]
     edges = np.diff(slide.astype(int), prepend=0, append=0)
     time = arrow.values(motion.column("time"))
     first, last = time[edges[:-1] > 0], time[edges[1:] < 0]

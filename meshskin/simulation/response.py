@@ -57,7 +57,7 @@ def describe_departure(recording: Recording) -> str:
     time, force, references = (
         arrow.values(motion.column(name)) for name in ("time", "force", "reference")
     )
-    after = arrow.equals(motion.column("phase"), "slide")
+    after = arrow.words(motion.column("phase")) == "slide"
     off = np.abs(force / references - 1.0)
     left = after & (off > MAX_DEPARTURE)
     if not left.any():
@@ -78,7 +78,10 @@ def describe_departure(recording: Recording) -> str:
 
 
 def force_response(
-    time: Array, force: Array, reference: float | Array, phase: Sequence[str] | None = None
+    time: Array,
+    force: Array,
+    reference: float | Array,
+    phase: Sequence[str] | np.ndarray | None = None,
 ) -> ForceResponse:
     """The response of a force (k,), N, at `time` (k,), s.
 

@@ -1,5 +1,6 @@
 """Bodies: what is loaded, what is repaired, what is refused, and rays."""
 
+import subprocess
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -9,6 +10,7 @@ import pytest
 import trimesh
 
 from meshskin.core.errors import MeshError
+from meshskin.geometry import primitives
 from meshskin.geometry.body import FACES, Body
 
 from ..real_data import DATA, needs_ur3e
@@ -260,7 +262,9 @@ def test_a_primitive_is_meshed_anew(body):
     assert len(fine.mesh.faces) == pytest.approx(20_480, rel=0.3)
     assert fine.exact == body.exact
     assert fine.degree == 2
-    assert fine.facets is fine.remeshed(320).facets is body.mesh
+    assert fine.facets is fine.remeshed(320).facets
+    assert fine.robot_mesh is not None
+    assert fine == replace(fine, robot_mesh=body.mesh)
 
 
 def test_a_mesh_of_its_own_is_not_meshed_anew(ball, tmp_path):
@@ -330,3 +334,23 @@ def test_damaged_files_are_one_line(tmp_path, name, content, message):
     with pytest.raises(MeshError, match=message) as caught:
         Body.load(tmp_path / name, units="mm")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("level", range(4))
+def test_the_mesh_of_a_sphere_is_the_icosphere_of_trimesh(level):
+    vertices, faces = primitives.sphere_mesh(20 * 4**level)
+    oracle = trimesh.creation.icosphere(subdivisions=level)
+    assert np.array_equal(faces, oracle.faces)
+    assert vertices == pytest.approx(np.asarray(oracle.vertices), abs=1e-15)
+
+
+def test_a_body_is_used_without_imports_that_take_long():
+    code = """
+import sys, meshskin as ms
+body, case = ms.Body.sphere(0.1), dict(force=3.0, curvature=(10.0, 9.0), indenter_radius=0.01)
+body.closest([[0, 0, 0.2]])
+ms.contact.solve(model="elliptic", modulus=2e5, poisson=0.49, **case)
+assert not {"trimesh", "scipy.optimize"} & set(sys.modules)
+assert body.mesh.volume > 4.1e-3 and type(body.mesh) is sys.modules["trimesh"].Trimesh
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
 from ...core.arrays import Array
@@ -96,6 +95,8 @@ def alike_errors(effects: RandomEffects, covariances: Array) -> AlikeErrors:
         return AlikeErrors()
     if not effects.clear().any():
         return AlikeErrors()
+    from scipy.optimize import nnls  # imports slowly
+
     correlograms = _Correlograms(effects, covariances)
     seen = correlograms.of(effects.unknowns.errors[..., None], effects.residuals()[:, None])[:, 0]
     drawn = [
