@@ -27,6 +27,8 @@ from .array_backend import functions
 if TYPE_CHECKING:
     from ..core.many_points import ColumnFunction
 
+NODES = 8
+"""Nodes of the quadrature over the slices, by default: the error is below 1e-5."""
 _MIN_SQUARE = 1e-12
 """Lower bound under square roots, whose derivatives stay finite: 1e-6 contact radii."""
 _MIN_RHO_SQUARE = 1e-10
@@ -37,16 +39,16 @@ MAX_ITERATIONS = 60
 """Iterations of the bracketed root finders: bisection alone reaches 1e-18 of the bracket."""
 
 
-def disc_mean(rho: Any, s: Any, nodes: int = 8) -> Any:
+def disc_mean(rho: Any, s: Any, nodes: int = NODES) -> Any:
     """Mean of sqrt(1 - r^2) over the disc of radius `s` > 0 centred at distance `rho` >= 0.
 
     NumPy arrays (broadcast) or CasADi expressions. Value, gradient and Hessian are finite
-    everywhere, including rho = 0. Zero where rho >= 1 + s. The error with 8 nodes is below 1e-5.
+    everywhere, including rho = 0. Zero where rho >= 1 + s.
     """
     return disc_mean_of_square(rho * rho, s, nodes)
 
 
-def disc_mean_of_square(q: Any, s: Any, nodes: int = 8) -> Any:
+def disc_mean_of_square(q: Any, s: Any, nodes: int = NODES) -> Any:
     """`disc_mean` as a function of q = rho^2, which is smooth in positions where rho is not."""
     f = functions(q, s)
     rho = f.sqrt(q + _MIN_RHO_SQUARE)
@@ -57,19 +59,19 @@ def disc_mean_of_square(q: Any, s: Any, nodes: int = 8) -> Any:
     return total / (math.pi * s * s)
 
 
-def disc_slope(rho: Array, s: Array, nodes: int = 8) -> Array:
+def disc_slope(rho: Array, s: Array) -> Array:
     """Derivative of `disc_mean` by rho: pi s^2 M' = integral_lo^x* 2 w (x - rho) / h dx."""
-    return np.asarray(_mean_and_slope(rho, s, nodes)[1])
+    return np.asarray(_mean_and_slope(rho, s)[1])
 
 
-def _mean_and_slope(rho: Any, s: Any, nodes: int) -> tuple[Any, Any]:
+def _mean_and_slope(rho: Any, s: Any) -> tuple[Any, Any]:
     """`disc_mean` and `disc_slope` from the same slices."""
     f = functions(rho, s)
     rho = f.sqrt(rho * rho + _MIN_RHO_SQUARE)
     lo, cut, hi = _limits(f, rho, s)
     mean = math.pi / 2 * ((hi - hi**3 / 3) - (cut - cut**3 / 3))
     slope = 0.0 * (rho * s)
-    for weight, x, h, w in _slices(f, rho, s, lo, cut, nodes):
+    for weight, x, h, w in _slices(f, rho, s, lo, cut, NODES):
         mean = mean + weight * (h * w + (1 - x * x) * f.atan2(h, w))
         slope = slope + weight * 2 * w * (x - rho) / h
     area = math.pi * s * s
@@ -77,14 +79,14 @@ def _mean_and_slope(rho: Any, s: Any, nodes: int) -> tuple[Any, Any]:
 
 
 @functools.cache
-def _compiled(nodes: int) -> ColumnFunction:
+def _compiled() -> ColumnFunction:
     """`_mean_and_slope` of columns rho and s."""
     import casadi as ca
 
     from ..core.many_points import ColumnFunction
 
     x = ca.SX.sym("x", 2)
-    return ColumnFunction("disc_mean", x, ca.vertcat(*_mean_and_slope(x[0], x[1], nodes)))
+    return ColumnFunction("disc_mean", x, ca.vertcat(*_mean_and_slope(x[0], x[1])))
 
 
 def _limits(f: Any, rho: Any, s: Any) -> tuple[Any, Any, Any]:
@@ -120,29 +122,29 @@ def _rule(nodes: int) -> tuple[tuple[float, float], ...]:
     )
 
 
-def invert_disc_mean(m: ArrayLike, s: ArrayLike, nodes: int = 8, tolerance: float = 1e-10) -> Array:
+def invert_disc_mean(m: ArrayLike, s: ArrayLike, tolerance: float = 1e-10) -> Array:
     """The distance rho at which `disc_mean(rho, s)` is `m`, batched, to `tolerance`.
 
     Non-increasing in m. `m` at or above the maximum gives 0; `m` <= 0 gives 1 + s, where the disc
     leaves the patch; NaN gives NaN. Newton steps with a bracket.
     """
     target, radius = np.broadcast_arrays(np.asarray(m, dtype=float), np.asarray(s, dtype=float))
-    return _invert(target.ravel(), radius.ravel(), nodes, tolerance).reshape(target.shape)
+    return _invert(target.ravel(), radius.ravel(), tolerance).reshape(target.shape)
 
 
-def _invert(m: Array, s: Array, nodes: int, tolerance: float) -> Array:
+def _invert(m: Array, s: Array, tolerance: float) -> Array:
     out = np.where(m <= 0, 1.0 + s, 0.0)
     out[np.isnan(m) | np.isnan(s)] = np.nan
-    row = np.flatnonzero((m > 0) & (m < disc_mean(np.zeros_like(s), s, nodes)))
+    row = np.flatnonzero((m > 0) & (m < disc_mean(np.zeros_like(s), s)))
     m, s = m[row], s[row]
     # below s - 1 the patch lies inside the disc and the mean is constant: no root there
     low, high = np.fmax(s - 1.0, 0.0), 1.0 + s
     rho = (low + high) / 2
     for _ in range(MAX_ITERATIONS):
         if len(rho) < MIN_COMPILED:
-            mean, slope = _mean_and_slope(rho, s, nodes)
+            mean, slope = _mean_and_slope(rho, s)
         else:
-            mean, slope = _compiled(nodes)(len(rho), rho, s)
+            mean, slope = _compiled()(len(rho), rho, s)
         excess = mean - m
         low, high = np.where(excess >= 0, rho, low), np.where(excess >= 0, high, rho)
         trial = rho - _newton_step(excess, m, slope)

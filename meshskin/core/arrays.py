@@ -1,4 +1,4 @@
-"""Array types, and operations on groups of rows that NumPy does not have."""
+"""Array types, and operations on arrays and groups of rows that NumPy does not have."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ Index = NDArray[np.intp]
 """Rows of arrays."""
 
 
+MAD = 0.6745
+"""Median absolute value of a standard normal variable."""
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 """Coordinates in cyclic order."""
 
@@ -21,6 +23,12 @@ def cross(a: Array, b: Array) -> Array:
     """Cross products (..., 3) of vectors (..., 3), bit for bit those of `numpy.cross`, which takes
     four times as long for a few vectors."""
     return np.asarray(a[..., _NEXT] * b[..., _AFTER] - a[..., _AFTER] * b[..., _NEXT])
+
+
+def robust_sigma(values: Array) -> float:
+    """Standard deviation of normal variables of mean zero by the median of their sizes, which a
+    minority of others hardly changes. values (n,), one or more."""
+    return float(np.median(np.abs(values))) / MAD
 
 
 def ranges(first: Index, count: Index) -> Index:

@@ -19,7 +19,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from matplotlib.collections import EllipseCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -41,8 +41,8 @@ SMALL_POINTS = 100
 """Pixels of the page per inch of a picture on a card."""
 DPI = 200
 """Pixels per inch of an image file: two for each pixel of the page."""
-INK, MUTED, ACCENT, WARNING = "#1f2328", "#6b7280", "#0072b2", "#d55e00"
-"""Text, paths, dots, and what is wrong: colours of the report (Okabe and Ito)."""
+INK, ACCENT, WARNING = "#1f2328", "#0072b2", "#d55e00"
+"""Text, dots, and what is wrong: colours of the report (Okabe and Ito)."""
 SEQUENTIAL = "cividis"
 BODY = np.array([0.80, 0.82, 0.85])
 """Colour of a body that faces the light."""
@@ -247,23 +247,20 @@ def solid(
     values: Array | None = None,
     label: str = "",
     radius: float = 0.0,
-    lines: Iterable[Array] = (),
     close: bool = False,
     title: str = "",
 ) -> Figure:
-    """Draw a mesh (.vertices, .faces), dots, lines and circles seen from `toward`; the figure.
+    """Draw a mesh (.vertices, .faces) and dots seen from `toward`; the figure.
 
     ax: matplotlib axes; None: those of a new figure. points, normals (n, 3), m; values (n,), by
-    which the dots are coloured, `label` what they are; radius of the dots, m; lines (k, 3), m;
-    close: show what is near the dots, and not the whole mesh.
+    which the dots are coloured, `label` what they are; radius of the dots, m; close: show what is
+    near the dots, and not the whole mesh.
     """
     with _drawn(ax) as ax:
         view, seen = View.along(toward), [np.zeros((0, 2))]
         if mesh is not None:
             _draw_body(ax, view, mesh.vertices, mesh.faces)
             seen.append(view.flat(np.asarray(mesh.vertices)))
-        paths = [view.flat(line[_evenly(len(line))]) for line in lines]
-        ax.add_collection(LineCollection(paths, colors=MUTED, linewidths=0.6, zorder=2))
         if points is not None:
             at = view.flat(points[np.isfinite(points).all(axis=1)])
             every = np.concatenate([*seen, at])
@@ -271,7 +268,7 @@ def solid(
             disc = max(radius, LEAST_DISC * extent)
             _draw_dots(ax, view, points, normals, values, label, disc)
             seen += [at - MM * disc, at + MM * disc]
-        every = np.concatenate([*seen, *paths])
+        every = np.concatenate(seen)
         ax.set_aspect("equal")
         ax.set_axis_off()
         if len(every):

@@ -27,8 +27,6 @@ METHODS = (
     "centroid",
 )
 """Methods that are compared with the joint estimate."""
-MIN_ALIGNED = 3
-"""Least number of taxels that determine the rigid motion between a pose graph and the truth."""
 
 
 @dataclass
@@ -82,7 +80,7 @@ def compare_methods(
         try:
             deadline.check(reserve + seconds(method))
             other = estimation.without_verdict(method, deadline.hook(None, reserve))
-            _check_placed(other, MIN_ALIGNED if method.startswith("posegraph") else 1)
+            _check_placed(other, truth.MIN_ALIGNED if method.startswith("posegraph") else 1)
         except (CalibrationError, GraphError) as error:
             comparison.missing[method] = str(error)
         except OutOfTime:

@@ -24,8 +24,8 @@ class BatchSimulator:
     """State of `count` episodes.
 
     rows (count,): where each starts on the track; starts (count, n): joint angles there, not needed
-    without an arm; parameters (count, 9): rows of Parameters, by default the loop's own; `compile_`
-    and `steps`: see machine_code; taxels (n, 3), body frame, m: read them all at every step.
+    without an arm; parameters (count, 9): rows of Parameters, by default the loop's own;
+    `compile_`: see machine_code; taxels (n, 3), body frame, m: read them all at every step.
     """
 
     def __init__(
@@ -38,7 +38,6 @@ class BatchSimulator:
         *,
         parameters: Array | None = None,
         compile_: str = "auto",
-        steps: float = 0.0,
         taxels: Array | None = None,
     ) -> None:
         self.body, self.loop, self.track = body, loop, track
@@ -55,7 +54,7 @@ class BatchSimulator:
         self.next = np.zeros_like(self.state)
         self.outputs = np.zeros((count, function.size1_out(1)))
         self.faces = np.array(track.faces[self.rows])
-        self._code = machine_code(loop, body.surface.patches, compile_, steps * count)
+        self._code = machine_code(loop, body.surface.patches, compile_, 0.0)
         if self._code is None:
             self._anchors, self._anchor_faces = np.zeros((count, ANCHOR)), np.full(count, -1)
             self._buffer, self._call = bind(

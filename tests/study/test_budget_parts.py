@@ -86,6 +86,15 @@ def test_one_step_predicts_the_full_calibration(effect, replay, solved):
     assert mean_length(step - full) < 0.1 * mean_length(full)
 
 
+def test_one_step_predicts_the_calibration_on_a_coarser_mesh(small, replay):
+    """The coarser surface lies beside the fine one: taxels move onto it, along the normals, too."""
+    belief = replace(small.belief(), body=small.body.remeshed(320))
+    recording = replay.recording((), 0)
+    found = ms.calibrate(recording, belief).positions - small.skin.positions
+    move, _ = Solution.true(small).step(recording, belief)
+    np.testing.assert_allclose(move, found, atol=0.1 * mean_length(found))
+
+
 def test_a_replay_records_the_same_as_a_simulation(small, replay):
     chosen = (GaussianNoise(), BodyPose(), effects.find("friction")(), effects.find("scan_order")())
     simulated = ms.simulate(small.with_(effects=effects.ordered(chosen)), seed=5)

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, robust_sigma, sums_by_group
 from ...core.errors import CalibrationError
+from .measurements import nominal_patches
 from .resolve_belief import contact_model
 from .sensor_range import constant_taxels
 
@@ -42,8 +43,6 @@ MIN_SATURATED = 10, 2e-3
 the range."""
 STRONG = 0.9
 """Quantile of the taxels' strongest readings that is scaled to the believed peak pressure."""
-MAD = 0.6745
-"""Median absolute value of a standard normal variable."""
 
 
 def nominal_pressure(
@@ -60,17 +59,8 @@ def nominal_pressure(
         recording.pressure[known], recording.reading_contact[known], index[known],
         recording.points, belief,
     )  # fmt: skip
-    peak = (
-        contact_model(belief)
-        .patches(
-            force=recording.force[used],
-            curvature=curvature[used],
-            indenter_radius=belief.indenter.radius,
-            effective_modulus=belief.material.effective_modulus,
-        )
-        .peak
-    )
-    level, belief, unit = raw.scaled(belief, float(np.median(peak)), index[known])
+    patches = nominal_patches(contact_model(belief), belief, recording.force[used], curvature[used])
+    level, belief, unit = raw.scaled(belief, float(np.median(patches.peak)), index[known])
     pressure = np.full(len(known), np.nan)
     pressure[known] = level
     return pressure, belief, unit, raw.falling
@@ -209,7 +199,7 @@ def pressures_above_rest(
 
 def _noise_threshold(level: Array) -> float:
     """Threshold of readings whose `level` (k,) is relative to that at rest, where most are."""
-    return REST_SIGMAS * float(np.median(np.abs(level))) / MAD
+    return REST_SIGMAS * robust_sigma(level)
 
 
 def falls_with_pressure(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array
+from ...core.arrays import Array, robust_sigma
 from ...scene.contact_motion import ContactMotion
 from .global_parameters import declared_parameters
 
@@ -27,8 +27,6 @@ CONVERGED = 1e-3
 HUBER = 1.5
 """Distance, in standard deviations, beyond which a contact's weight decreases: 95 % efficient
 without outliers (Huber, "Robust Statistics", 1981)."""
-MAD = 0.6745
-"""Median absolute value of a standard normal variable."""
 MIN_SCATTER = 1e-5
 """Least standard deviation of a distance, m: no arm and no mesh is better."""
 CELL = 0.01
@@ -83,7 +81,7 @@ def _fit(belief: Belief, points: Array, sigma: Array) -> tuple[Array, Array]:
     for _ in range(ITERATIONS):
         moved = _moved(points, offset)
         hit = belief.body.closest(moved)
-        scatter = max(float(np.median(np.abs(hit.distance))) / MAD, MIN_SCATTER)
+        scatter = max(robust_sigma(hit.distance), MIN_SCATTER)
         scatter = float(np.hypot(scatter, belief.surface_sigma))
         far = HUBER * scatter / np.maximum(np.abs(hit.distance), 1e-300)
         weight = np.minimum(1.0, far) / scatter**2

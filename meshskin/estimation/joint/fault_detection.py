@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import MAD, Array, robust_sigma, sums_by_group
 from ..data.measurements import Measurements
 from .likelihood import Readings
 from .pressure import CENSORED, OBSERVED, SATURATED
@@ -57,8 +57,6 @@ MIN_UNANSWERED = 3
 STUCK_SPREAD = 1.5
 """RMS spread of a stuck taxel's contacts, relative to their reach. A sound one's is 0.7 where it is
 pressed evenly, at most 1 on a ring, and 1.44 there if E* is believed three times too high."""
-MAD = 0.6745
-"""Median absolute value of a standard normal variable."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +137,7 @@ def residuals(readings: Readings, mu: Array, sigma: float) -> Array:
 def reading_scale(readings: Readings, r: Array) -> float:
     """Robust standard deviation of the residuals r (k,), by the median of their sizes."""
     r = r[(readings.kind == OBSERVED) & ~outliers(readings)]
-    return float(np.median(np.abs(r))) / MAD if len(r) else 1.0
+    return robust_sigma(r) if len(r) else 1.0
 
 
 def taxel_scale(readings: Readings, r: Array) -> float:

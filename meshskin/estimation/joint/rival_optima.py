@@ -9,7 +9,9 @@ that fit better replace the estimate; those that fit nearly as well are its riva
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass, replace
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -19,7 +21,9 @@ from .joint_estimator import JointEstimator
 from .likelihood import Likelihood, Readings, select
 from .parametrization import SurfaceParametrization
 from .pressure import OBSERVED
-from .variable_projection import ReducedProblem
+from .variable_projection import MAX_STEPS, ReducedProblem
+
+T = TypeVar("T")
 
 OPEN_SECTOR = np.radians(150.0)
 """Angle between the directions from a taxel to neighboring contacts up to which its optimum is
@@ -87,7 +91,6 @@ def find_rivals(estimator: JointEstimator) -> RivalOptima:
     rows = np.flatnonzero(open_sectors(estimator, points) > OPEN_SECTOR)
     if not len(rows):
         return best
-    reach = float(np.median(estimator.data.reach()))
     observed = estimator.likelihood.readings.kind == OBSERVED
     variance = float(estimator.state.moments.square.sum()) / max(int(observed.sum()), 1)
     if estimator.data.noise is not None and variance > MAX_VARIANCE:
@@ -97,19 +100,37 @@ def find_rivals(estimator: JointEstimator) -> RivalOptima:
     estimator.stage.expect(len(parts))
     for part in parts:
         estimator.stage.step()
-        starts = starting_points(estimator, part, points[part], reach)
-        copies = np.tile(part, len(starts))
-        estimate = points[copies], estimator.state.z[copies]
-        found = optimum_from(estimator, copies, np.concatenate(starts))
-        valid = np.linalg.norm(found[0] - points[copies], axis=1) > MIN_DISTANCE * reach
-        valid &= part_on_sheet(estimator, copies, found[0]) >= MIN_ON_SHEET
-        odds = log_odds_between(estimator, copies, estimate, found)
-        odds = np.where(valid & (odds < limit), odds, np.inf).reshape(len(starts), -1)
-        likeliest, each = odds.argmin(axis=0), np.arange(len(part))
-        best.log_odds[part] = odds[likeliest, each]
-        places = found[0].reshape(len(starts), -1, 3)[likeliest, each]
-        best.points[part] = np.where(np.isfinite(best.log_odds[part])[:, None], places, np.nan)
+        places, odds = finish(likeliest_rivals(estimator, part, points[part]))
+        near = odds < limit
+        best.points[part[near]], best.log_odds[part[near]] = places[near], odds[near]
     return best
+
+
+def likeliest_rivals(
+    estimator: JointEstimator, rows: np.ndarray, points: Array, most: int = MAX_STEPS
+) -> Generator[None, None, tuple[Array, Array]]:
+    """The likeliest other optimum of each of the taxels `rows` at `points` (r, 3): its place
+    (r, 3), m, and the log-likelihood (r,) of the estimate minus that of the optimum, inf where
+    there is none. The generator yields before every `most` Gauss-Newton steps."""
+    reach = float(np.median(estimator.data.reach()))
+    starts = starting_points(estimator, rows, points, reach)
+    copies, here = np.tile(rows, len(starts)), np.tile(points, (len(starts), 1))
+    found = yield from optimum_from(estimator, copies, np.concatenate(starts), most)
+    valid = np.linalg.norm(found[0] - here, axis=1) > MIN_DISTANCE * reach
+    valid &= part_on_sheet(estimator, copies, found[0]) >= MIN_ON_SHEET
+    odds = log_odds_between(estimator, copies, (here, estimator.state.z[copies]), found)
+    odds = np.where(valid, odds, np.inf).reshape(len(starts), -1)
+    likeliest, each = odds.argmin(axis=0), np.arange(len(rows))
+    return found[0].reshape(len(starts), -1, 3)[likeliest, each], odds[likeliest, each]
+
+
+def finish(work: Generator[None, None, T]) -> T:
+    """The result of a generator after all its parts."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return cast(T, end.value)
 
 
 def batches(rows: np.ndarray, copies: int) -> list[np.ndarray]:
@@ -207,15 +228,21 @@ def readings_of(estimator: JointEstimator, rows: np.ndarray, points: Array) -> R
     )  # fmt: skip
 
 
-def optimum_from(estimator: JointEstimator, rows: np.ndarray, start: Array) -> tuple[Array, Array]:
+def optimum_from(
+    estimator: JointEstimator, rows: np.ndarray, start: Array, most: int
+) -> Generator[None, None, tuple[Array, Array]]:
     """Points (r, 3) and unknowns (r, D) of the optima reached from `start` (r, 3), with the global
-    parameters fixed."""
+    parameters fixed. The generator yields before every `most` Gauss-Newton steps."""
     points, z = start, estimator.state.z[rows].copy()
     for _ in range(ITERATIONS):
         z[:, :2] = 0.0
         problem = problem_of(estimator, rows, points, readings_of(estimator, rows, points))
         state = problem.start(estimator.state.s, z)
-        problem.solve_inner(state)
+        for _ in range(MAX_STEPS // most):
+            yield
+            problem.solve_inner(state, most=most)
+            if (state.decrement <= problem.inner_tolerance).all():
+                break
         z = state.z.copy()
         points = estimator.data.body.closest(problem.points(state)).point
     return points, z

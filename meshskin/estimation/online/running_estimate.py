@@ -21,7 +21,7 @@ from ..data.pairs import MAX_SLANT, REACH_MARGIN
 from ..joint import fault_detection as faults
 from ..joint.contacts import LinearizedContacts
 from ..joint.joint_estimator import JointEstimator
-from ..joint.rival_optima import OPEN_SECTOR, open_sectors
+from ..joint.rival_optima import DIRECTIONS, OPEN_SECTOR, finish, open_sectors
 from . import basins
 from .information import TaxelInformation
 from .linearization import advance, local_estimator, new_readings, search, summary
@@ -279,7 +279,7 @@ class RunningEstimate:
         yield
         info, counts = self.information, self.store.counts[rows]
         near = self.store.near(info.charts.points[rows], 2 * self.reach)
-        part = self.store.part(np.repeat(rows, basins.COPIES), near)
+        part = self.store.part(rows, near)
         covariance = info.covariance[rows, :2, :2]
         yield
         weight = self.store.weight.values[part.rows]
@@ -316,9 +316,8 @@ class RunningEstimate:
                 self._take(mine, *search(estimator, self.scale), part)
             self._examination = None
             open_ = self.unexamined(growth=1.0)
-            for begin in range(0, len(open_), CHUNK // basins.COPIES):
-                for _ in self._look_elsewhere(open_[begin : begin + CHUNK // basins.COPIES]):
-                    pass
+            for begin in range(0, len(open_), CHUNK // DIRECTIONS):
+                finish(self._look_elsewhere(open_[begin : begin + CHUNK // DIRECTIONS]))
             if not len(rows) and not len(open_):
                 return
 

@@ -237,6 +237,9 @@ def updated(
     old = np.full(n, "", dtype=object) if base.faults is None else base.faults[order]
     named = [", ".join(filter(None, pair)) for pair in zip(old, faults, strict=True)]
     filled = known.known & ~np.isfinite(base.positions[order, 0])
+    additions = None if base.additions is None else base.additions.copy()
+    if additions is not None:
+        additions[:, 1] = np.argsort(order)[additions[:, 1].astype(int)]
     return replace(
         base,
         ids=known.ids, poses=poses, covariances=six,
@@ -245,9 +248,10 @@ def updated(
         reasons=np.where(filled, "", base.reasons[order]).astype(object),
         faults=np.array(named, dtype=object),
         rivals=None if base.rivals is None else base.rivals[order],
-        contact_centroids=None, iterates=None, factors=(*base.factors, made),
+        contact_centroids=None, iterates=None, additions=additions,
+        factors=(*base.factors, made),
         taxel_unknowns={k: v if k == "gain" else v[order] for k, v in taxel_unknowns.items()},
-        belief=base.belief or belief,
+        belief=replace(base.belief or belief, taxel_ids=known.ids),
     )  # fmt: skip
 
 

@@ -60,9 +60,8 @@ def contact_centroid_start(data: Measurements) -> EstimatorResult:
         rotations[seen] = chart.frames(data.body.closest(points[seen]).normal)
         offset = data.points[data.contact] - points[data.taxel]
         local = np.einsum("kij,ki->kj", rotations[data.taxel], offset)
-        for i, j in np.ndindex(3, 3):
-            total = np.bincount(data.taxel, local[:, i] * local[:, j], n)
-            scatter[seen, i, j] = total[seen] / data.counts[seen]
+        total = sums_by_group(local[:, :, None] * local[:, None, :], data.taxel, n)
+        scatter[seen] = total[seen] / data.counts[seen, None, None]
     flat = scatter[:, :2, :2]
     spread = np.sqrt(np.trace(flat, axis1=1, axis2=2))
     enough = data.counts >= 3

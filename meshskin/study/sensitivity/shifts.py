@@ -88,7 +88,7 @@ class Solution:
         local = -np.linalg.solve(blocks.hessian, gradient[:, :, None])[:, :2, 0]
         local = places.limit_step(np.asarray(local, dtype=float))
         move = np.full_like(self.points, np.nan)
-        move[live] = np.einsum("nij,nj->ni", charts.tangents, local)
+        move[live] = charts.at(local) - self.points[live]  # the body may be another mesh
         return move, shared
 
 

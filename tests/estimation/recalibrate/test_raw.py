@@ -9,13 +9,19 @@ from scipy.stats import norm
 
 import meshskin as ms
 from meshskin.core.errors import CalibrationError
-from meshskin.estimation.recalibrate.evidence import log_chance
+from meshskin.estimation.recalibrate.evidence import Evidence, log_chance
 from meshskin.estimation.recalibrate.hypotheses import unchanged
 from meshskin.estimation.recalibrate.readings import read, touches_of
+from meshskin.estimation.recalibrate.result import updated
 from meshskin.estimation.recalibrate.skin_map import skin_map
 from meshskin.estimation.recalibrate.touches import Errors
 
 REST = 230.0
+COLUMNS = {
+    "ids", "poses", "covariances", "observed", "touched", "readings", "chi2", "reasons", "faults",
+    "rivals",
+}  # fmt: skip
+"""Fields of a calibration with a row a taxel."""
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +88,24 @@ def test_an_unchanged_skin_of_raw_readings_is_confirmed(world, mapped):
     assert (found.states == "confirmed").all()
     assert abs(found.errors.log_scale) < 0.03
     assert found.errors.rho < 0.03
+
+
+def test_an_updated_map_has_the_order_of_its_belief(mapped):
+    """Ids are sorted: a belief in another order would assign the readings to other taxels."""
+    map_, belief, _ = mapped
+    columns = {name: values[::-1] for name, values in vars(map_).items() if name in COLUMNS}
+    backwards = replace(
+        map_, **columns,
+        taxel_unknowns={k: v[::-1] for k, v in map_.taxel_unknowns.items()},
+        additions=np.array([[5.0, 11.0, 0.1]]), belief=belief.with_(taxel_ids=map_.ids[::-1]),
+    )  # fmt: skip
+    known = skin_map(backwards, belief)
+    one = np.ones(1, dtype=bool)
+    found = [Evidence(0.0, unchanged(known, u), (), -np.inf, one, one, True) for u in range(12)]
+    now = updated(backwards, belief, known, found, (), 36)
+    np.testing.assert_array_equal(now.ids, now.belief.taxel_ids)
+    np.testing.assert_array_equal(now.positions, map_.positions)
+    np.testing.assert_array_equal(now.additions, [[5.0, 0.0, 0.1]])
 
 
 def test_raw_readings_are_predicted_by_the_learned_response(world, mapped):
