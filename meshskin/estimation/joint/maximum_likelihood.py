@@ -13,6 +13,7 @@ contacts.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -53,6 +54,9 @@ from .reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .residual_correlations import shared_errors
 from .rival_optima import RivalOptima, resolve_rivals
 from .variable_projection import SchurComplement
+
+if TYPE_CHECKING:
+    from ...scene.belief import Belief
 
 UNCONVERGED = "its position does not converge"
 """Reason of a taxel that is not determined though its trilateration is."""
@@ -250,7 +254,10 @@ def _result(
     modulus_sigma: float | None = None
     if "modulus" in parameters.names:
         modulus_sigma = modulus * float(
-            np.hypot(global_sigma[parameters.columns["modulus"]][0], radius_deviation(data))
+            np.hypot(
+                global_sigma[parameters.columns["modulus"]][0],
+                radius_deviation(data.belief, data.curvature),
+            )
         )
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, parametrization.points()), np.nan),
@@ -303,13 +310,14 @@ def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:
     return np.asarray((1 - 1 / fit.reduced) * apart[:, :, None] * apart[:, None, :])
 
 
-def radius_deviation(data: Measurements) -> float:
-    """Standard deviation of ln E* by that of the indenter's radius R.
+def radius_deviation(belief: Belief, curvature: Array) -> float:
+    """Standard deviation of ln E* by that of the indenter's radius R, at contacts with principal
+    curvatures (m, 2), 1/m.
 
     The width of a Hertz patch depends on E* (1/R + k), k being the body's mean curvature, so that
     ln E* changes by ln R times 1 / (1 + R k).
     """
-    bend = data.belief.indenter.radius * data.curvature.mean(axis=1)
+    bend = belief.indenter.radius * curvature.mean(axis=1)
     return RADIUS_TOLERANCE * float(np.median(1 / np.maximum(1 + bend, 0.1)))
 
 
