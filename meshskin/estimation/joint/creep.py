@@ -11,6 +11,8 @@ Source: Johnson, Contact Mechanics (1985), section 6.5 (standard linear solid).
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from ...core.arrays import Array
@@ -46,13 +48,18 @@ class Creep:
     ) -> None:
         """steps: as `Electronics.steps`."""
         time, taxel = data.time, readings.taxel
-        self.frame, self.steps, self.taxel = frames(time)[readings.contact], steps, taxel
+        self.frame = frames(time)[readings.contact]
         """Times (k,), s, since the frame before each reading."""
         self.since, last = np.full(len(taxel), np.inf), np.full(len(readings.starts) - 1, -np.inf)
         """Times (k,), s, since the reading of the taxel before."""
         for rows, _ in steps:
             self.since[rows] = time[readings.contact[rows]] - last[taxel[rows]]
             last[taxel[rows]] = time[readings.contact[rows]]
+        # of every step in the same order of taxels, those with most readings first
+        place = np.argsort(np.argsort(-np.bincount(taxel), kind="stable"))
+        self.order = np.concatenate([rows[np.argsort(place[taxel[rows]])] for rows, _ in steps])
+        """Readings (k,), step by step, where those of a step follow the first of the last step."""
+        self.ends = np.cumsum([len(rows) for rows, _ in steps])
 
     def follow(self, pressure: Array, log_time: float, lift: float = 0.0) -> Array:
         """Q (..., k) of pressures (..., k); log_time and lift as `lacking`."""
@@ -70,10 +77,11 @@ class Creep:
 
     def _sums(self, added: Array, log_time: float) -> Array:
         """Sums (..., k) over the readings of each taxel before, which decay, of what is `added`."""
-        out, decay = added.copy(), np.exp(-self.since / (TIME * np.exp(log_time)))
-        last = np.zeros((*added.shape[:-1], int(self.taxel.max(initial=0)) + 1))
-        for rows, _ in self.steps:
-            own = self.taxel[rows]
-            out[..., rows] += decay[rows] * last[..., own]
-            last[..., own] = out[..., rows]
+        decay = np.exp(-self.since[self.order] / (TIME * np.exp(log_time)))
+        sums, before = added[..., self.order], 0
+        for begin, end in pairwise(self.ends):
+            sums[..., begin:end] += decay[begin:end] * sums[..., before : before + end - begin]
+            before = begin
+        out = np.empty_like(sums)
+        out[..., self.order] = sums
         return out
