@@ -13,7 +13,6 @@ contacts.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
 from ...core.progress import Stage
 from .. import chart
+from ..data.global_parameters import RADIUS_TOLERANCE, radius_deviation
 from ..data.measurements import Measurements
 from ..result import (
     CENSORING,
@@ -55,9 +55,6 @@ from .residual_correlations import shared_errors
 from .rival_optima import RivalOptima, resolve_rivals
 from .variable_projection import SchurComplement
 
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
-
 UNCONVERGED = "its position does not converge"
 """Reason of a taxel that is not determined though its trilateration is."""
 WIDENED = (
@@ -68,9 +65,6 @@ WIDENED = (
 ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring contacts"
 USUAL_STEPS = 4
 """Usual steps of an estimate: the start, two linearizations, and a search for second optima."""
-RADIUS_TOLERANCE = 0.03
-"""Relative standard deviation of the indenter's radius, which readings cannot tell from E*. Chosen:
-0.3 mm of 10 mm, as a worn or printed indenter has it."""
 RADIUS = "indenter radius within {:.0%} (1 sigma): its share of the standard deviation of E*"
 UNDECLARED_GAINS = "gain and offset of each taxel, undeclared: without them taxels misfit"
 
@@ -308,17 +302,6 @@ def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:
     apart = np.nan_to_num(means - parametrization.points())
     apart = np.einsum("kij,ki->kj", parametrization.rotations()[:, :, :2], apart)
     return np.asarray((1 - 1 / fit.reduced) * apart[:, :, None] * apart[:, None, :])
-
-
-def radius_deviation(belief: Belief, curvature: Array) -> float:
-    """Standard deviation of ln E* by that of the indenter's radius R, at contacts with principal
-    curvatures (m, 2), 1/m.
-
-    The width of a Hertz patch depends on E* (1/R + k), k being the body's mean curvature, so that
-    ln E* changes by ln R times 1 / (1 + R k).
-    """
-    bend = belief.indenter.radius * curvature.mean(axis=1)
-    return RADIUS_TOLERANCE * float(np.median(1 / np.maximum(1 + bend, 0.1)))
 
 
 def _scale_and_fit(

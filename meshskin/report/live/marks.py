@@ -118,7 +118,8 @@ def legend(truth: bool) -> str:
     marks += [("&#9675;", TRUTH, "true taxel")] if truth else []
     outline = f"-webkit-text-stroke:0.5px {theme.MUTED}"
     names = "".join(
-        f'<span style="white-space:nowrap"><span style="color:rgb{color};{outline}">{sign}</span> {name}</span>'
+        f'<span style="white-space:nowrap"><span style="color:rgb{color};{outline}">{sign}</span> '
+        f"{name}</span>"
         for sign, color, name in marks
     )
     return (
