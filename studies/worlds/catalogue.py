@@ -75,6 +75,8 @@ def catalogue() -> dict[str, World]:
         "foam_cover": World(cover),
         "bell": World(Radial(Bell())),
         "saturating": World(hertz, Electronics(saturating=True)),
+        "two_skins": World(hertz, Electronics(second=(12, False))),
+        "two_amplifiers": World(hertz, Electronics(second=(12, True))),
         "power": World(cover, Electronics(power=0.6)),
         "force_10": World(hertz, force_error=0.1),
         "force_nominal": World(hertz, nominal_force=True),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -50,6 +50,9 @@ class Electronics:
     """Rise of the offset of all taxels from a cold to a warm skin."""
     saturating: bool = False
     """Whether a pressure p reads p / (1 + p / peak): at the peak half of it."""
+    second: tuple[int, bool] | None = None
+    """Ids of a module, and whether modules alternate: taxels of every other one, or of the second
+    half of the modules, saturate as `saturating` has it, the others do not; None: all alike."""
     power: float = 1.0
     """Exponent of a response peak (p / peak)^power."""
     hysteresis: float = 0.0
@@ -113,6 +116,12 @@ class Sensors:
             lagging = play(pressure, e.play * self.peak)
             pressure = (1 - e.hysteresis) * pressure + e.hysteresis * lagging
         reading = e.response(self.gains * pressure, self.peak)
+        if e.second:
+            size, alternating = e.second
+            module = np.arange(self.count) // size
+            other = module % 2 == 1 if alternating else module > module[-1] // 2
+            saturated = replace(e, saturating=True).response(self.gains * pressure, self.peak)
+            reading = np.where(other, saturated, reading)
         rise = np.linspace(0.0, 1.0, len(pressure))[:, None]
         warm = 1 - np.exp(-WARMING * rise)
         reading = (1 + e.warm_gain * warm) * reading + unit * e.warm_offset * warm

@@ -140,7 +140,7 @@ class FittedReadings:
     def _each(self, column: Array) -> Array:
         """Scores (n,) of a parameter that each taxel has of its own, with the derivatives
         `column` (k,) of the readings; 0 where the readings do not determine it."""
-        slope, information = self._moments(column)
+        slope, information = self.each(column)
         return np.asarray(slope * (information > 1e-9) / np.sqrt(np.maximum(information, 1e-9)))
 
     def shared(self, columns: Array) -> tuple[Array, Array]:
@@ -164,7 +164,7 @@ class FittedReadings:
             scale = np.maximum(self.mu - self.offset, 0.0)
             follows = self._solved(self._coupling(scale))
             common = weighted.T @ scale - inner(part, follows[..., None])[:, 0]
-            own = float(self._moments(scale)[1].sum())
+            own = float(self.each(scale)[1].sum())
             if own > 0:  # zero without any reading that counts
                 slope = slope + common * float(self.rate @ scale) / own
                 information -= np.outer(common, common) / own
@@ -191,7 +191,7 @@ class FittedReadings:
             left[:, k] -= np.einsum("ak,ka->k", self.own, found[taxel])
         return left, left
 
-    def _moments(self, column: Array) -> tuple[Array, Array]:
+    def each(self, column: Array) -> tuple[Array, Array]:
         """Derivative (n,) of the log-likelihood of each taxel in a parameter with the derivatives
         `column` (k,), and its information where the taxel's own unknowns are estimated."""
         taxel, n, b = self.readings.taxel, len(self.points), self._coupling(column)

@@ -39,6 +39,7 @@ from .outlier_rejection import displaced_contacts, reject_outliers
 from .parametrization import SurfaceParametrization, Unknowns
 from .pressure import CENSORED, OBSERVED
 from .random_effects import RandomEffects
+from .response_groups import response_groups
 from .rival_optima import resolve_rivals
 
 MIN_EXTENT = 1.2
@@ -131,8 +132,11 @@ def _attempt(
     found = learned_result(effects, estimator, rivals, reasons, clock)
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)
-    jump = largest_jump(effects.fitted())
-    departures = {**departures, **found.departures, **jump.departure}
+    fitted = effects.fitted()
+    jump = largest_jump(fitted)
+    slots = None if data.belief.module_slots is None else len(data.belief.module_slots)
+    groups = response_groups(fitted, data.ids[live], slots)
+    departures = {**groups.departure, **departures, **found.departures, **jump.departure}
     return replace(found, departures=departures, jump=jump.shown)
 
 

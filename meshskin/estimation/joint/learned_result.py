@@ -41,6 +41,8 @@ LEARNED_RESPONSE = "learned response: profile, exponents and compression estimat
 FALLING = "the recorded readings fall with pressure: they were turned"
 NOT_SEPARABLE = 0.9
 """Standard deviation, relative to that of its prior, from which a parameter rests on its prior."""
+FEW = 6.0
+"""Factor of 1 / n^2 in the relative increase of the variance of a taxel with n readings."""
 SAMPLES = 60
 """Distances at which the profile is stated, and levels of the response."""
 
@@ -73,7 +75,7 @@ def learned_result(
     fit = _fit(effects)
     alike = alike_errors(effects, covariance[:, :2, :2])
     response = learned_response(effects, shared, alike)
-    misfit = max(fit.reduced, 1.0) if fit.good is False else 1.0
+    misfit = max(fit.reduced, 1.0) if fit.good is not True else 1.0
     scale = max(misfit, fewer_contacts(response.contact_correlation), response.alike_contacts)
     points, rotations = u.parametrization.points(), u.parametrization.rotations()
     apart = np.nan_to_num(rivals.points - points)
@@ -83,6 +85,7 @@ def learned_result(
     added = errors.covariances(fitted)
     departures = errors.beyond(added, own)
     tangential = _larger(scale * covariance[:, :2, :2], own + added)
+    tangential *= _few_readings(effects)[:, None, None]
     tangential += _leaks(effects) + apart[:, :, None] * apart[:, None, :]
     lost, reasons = estimator.broken, reasons.copy()
     reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
@@ -134,6 +137,14 @@ def learned_result(
         iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
         seconds={"joint": time.perf_counter() - clock},
     )
+
+
+def _few_readings(effects: RandomEffects) -> Array:
+    """Factors (n,) of the taxels' variances where few readings tell of their four unknowns: the
+    variances of gains, offsets and contacts are taken as known, and so is the linearization."""
+    readings = effects.readings
+    count = np.bincount(readings.taxel, readings.kind == OBSERVED, len(effects.unknowns.nuisance))
+    return np.asarray(1 + FEW / np.maximum(count, 1.0) ** 2)
 
 
 def _errors(effects: RandomEffects) -> Array:

@@ -17,6 +17,7 @@ import numpy as np
 from ...core import se3
 from ...core.arrays import Array, sums_by_group
 from ..data import delay
+from ..data.registration import CELL, MIN_SCATTER
 from ..trilateration.displacements import surface_motion
 
 if TYPE_CHECKING:
@@ -29,6 +30,9 @@ MIN_SPREAD = 1e-3
 changes the distances: 2 degrees."""
 GROSS = 10.0
 """Distance of a contact point, in 95th percentiles, above which it is wrong by itself."""
+TRIALS, RATIO = 25, 1.0
+"""Standard deviations of a motion that are tried, a factor of 1.33 apart, and that of the logarithm
+of the ratio of its turn's to that of its shift."""
 MAX_LEFT = 0.1
 """Mean square of the taxels' mean distances that a displacement of the contact points may leave, in
 relation to that without it, beyond scatter: more is dents of the body."""
@@ -53,9 +57,8 @@ def systematic_covariance(
     if np.sum(moved_hit.distance**2) < np.sum(hit.distance**2):
         points, hit = moved, moved_hit
     tangents = rotations[:, :, :2]
-    sideways = motion(data, points, hit.distance, hit.normal).at(_middles(data))
-    along = np.einsum("nia,ni->na", tangents, sideways)
-    tangential = along[:, :, None] * along[:, None, :]
+    sideways = motion(data, points, hit.distance, hit.normal).squares(_middles(data))
+    tangential = np.swapaxes(tangents, 1, 2) @ sideways @ tangents
     if jump is not None:
         apart = np.einsum("nia,i->na", tangents, jump)
         tangential += apart[:, :, None] * apart[:, None, :]
@@ -132,8 +135,7 @@ def displacement(distance: Array, normals: Array) -> Array:
 def _visible(columns: Array, distance: Array) -> Array:
     """The combination (q,) of `columns` (m, q) that explains distances (m,), m, without what these
     do not show and what is within SHIFT_SIGMAS of chance."""
-    size = np.abs(distance)
-    near = size <= GROSS * np.quantile(size, 0.95)
+    near = _sound(distance)
     distance, columns = distance[near], columns[near]
     value, vectors = np.linalg.eigh(columns.T @ columns)
     good = value > MIN_SPREAD * len(columns)
@@ -142,6 +144,12 @@ def _visible(columns: Array, distance: Array) -> Array:
     rest = float(np.sum(distance**2) - np.sum(along**2)) / max(len(distance) - columns.shape[1], 1)
     along[np.abs(along) < SHIFT_SIGMAS * np.sqrt(max(rest, 0.0))] = 0.0
     return np.asarray(basis @ along)
+
+
+def _sound(distance: Array) -> np.ndarray:
+    """Rows (m,) bool of the contact points that are not far off the surface by themselves."""
+    size = np.abs(distance)
+    return np.asarray(size <= GROSS * np.quantile(size, 0.95))
 
 
 @dataclass(frozen=True)
@@ -156,22 +164,88 @@ class Motion:
     """(3,), rad."""
     stretch: float
     """Relative change of size."""
+    covariance: Array
+    """(7, 7), of shift, turn and stretch: of what the distances do not determine."""
 
     def at(self, points: Array) -> Array:
         """Displacements (m, 3), m, of points (m, 3), m."""
         arm = points - self.middle
         return np.asarray(self.shift + np.cross(self.turn, arm) + self.stretch * arm)
 
+    def squares(self, points: Array) -> Array:
+        """Mean squares (m, 3, 3), m^2, of the displacements of points (m, 3), m."""
+        arm, moved = points - self.middle, self.at(points)
+        unit = np.broadcast_to(np.eye(3), (len(arm), 3, 3))
+        slopes = np.concatenate([unit, -se3.hat(arm), arm[:, :, None]], axis=2)
+        spread = slopes @ self.covariance @ np.swapaxes(slopes, 1, 2)
+        return np.asarray(moved[:, :, None] * moved[:, None, :] + spread)
+
     @classmethod
-    def explaining(cls, points: Array, distance: Array, normals: Array) -> Motion:
-        """That of contact points (m, 3), m, which explains their distances (m,), m, from a surface
-        with normals (m, 3), as `displacement`."""
-        middle = points.mean(axis=0)
+    def none(cls, points: Array) -> Motion:
+        """That of points (m, 3), m, which do not move."""
+        return cls(points.mean(axis=0), np.zeros(3), np.zeros(3), 0.0, np.zeros((7, 7)))
+
+    @classmethod
+    def explaining(cls, bounds: Array, points: Array, distance: Array, normals: Array) -> Motion:
+        """The most likely one of contact points (m, 3), m, by their distances (m,), m, from a
+        surface with normals (m, 3), about the middle of the body's bounds (2, 3), m.
+
+        Shift, and turn and stretch times half the bounds' diagonal are alike before: a body that
+        slides along its own surface has no distances, and is expected to have moved so as far as it
+        has moved otherwise. That is the covariance.
+        """
+        middle, size = bounds.mean(axis=0), float(np.linalg.norm(np.ptp(bounds, axis=0))) / 2
         arm = points - middle
-        size = float(np.sqrt(np.mean(np.sum(arm**2, axis=1)))) or 1.0
         outward = np.einsum("mi,mi->m", arm, normals)[:, None] / size
-        x = _visible(np.hstack([normals, np.cross(arm, normals) / size, outward]), distance)
-        return cls(middle, x[:3], x[3:6] / size, float(x[6]) / size)
+        columns = np.hstack([normals, np.cross(arm, normals) / size, outward])
+        x, covariance = _posterior(columns, distance, points)
+        unit = np.array([1.0, 1.0, 1.0, *np.full(4, 1 / size)])
+        x, covariance = unit * x, unit[:, None] * covariance * unit
+        return cls(middle, x[:3], x[3:6], float(x[6]), covariance)
+
+
+def _posterior(columns: Array, distance: Array, points: Array) -> tuple[Array, Array]:
+    """The combination (7,) of `columns` (m, 7) by the distances (m,), m, of points (m, 3), m, and
+    its covariance (7, 7); zeros where the distances are within SHIFT_SIGMAS of chance.
+
+    Its entries are normal about zero, with one standard deviation of the turn and one of the
+    others, over which the mean is taken: their densities fall with their square, for few entries
+    tell little of them, and their ratio is log-normal about 1.
+    """
+    near = _sound(distance)
+    columns, distance, points = columns[near], distance[near], points[near]
+    left = distance - columns @ np.linalg.lstsq(columns, distance, rcond=1e-6)[0]
+    explained, rest = float(np.sum(distance**2) - np.sum(left**2)), float(np.mean(left**2))
+    if explained < (7 + SHIFT_SIGMAS**2) * max(rest, MIN_SCATTER**2):
+        return np.zeros(7), np.zeros((7, 7))
+    rest = _effective_variance(left, points)
+    matrix, right = columns.T @ columns / rest, columns.T @ distance / rest
+    scale = np.mean(distance**2) ** 0.5 * np.logspace(-1, 2, TRIALS)
+    pair = np.stack(np.meshgrid(scale, scale, indexing="ij"), axis=-1).reshape(-1, 2)
+    prior = pair[:, [0, 0, 0, 1, 1, 1, 0]]
+    unit = np.eye(7) + prior[:, :, None] * matrix * prior[:, None, :]
+    inverse = np.linalg.inv(unit)
+    mean = prior * np.einsum("tij,tj->ti", inverse, prior * right)
+    ratio = np.log(pair[:, 1] / pair[:, 0]) / RATIO
+    log_weight = (mean @ right - np.linalg.slogdet(unit)[1] - ratio**2) / 2
+    log_weight -= np.log(pair).sum(axis=1)
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    found = weight @ mean
+    apart = mean - found
+    covariance = prior[:, :, None] * inverse * prior[:, None, :]
+    covariance += apart[:, :, None] * apart[:, None, :]
+    return np.asarray(found), np.asarray(np.tensordot(weight, covariance, 1))
+
+
+def _effective_variance(rest: Array, points: Array) -> float:
+    """Variance, m^2, of independent errors that are worth as much as those which leave distances
+    `rest` (m,), m, at points (m, 3), m: errors of contacts in the same cell may be alike, as over a
+    dent."""
+    cells = np.unique(np.floor(points / CELL), axis=0, return_inverse=True)[1].ravel()
+    count = np.bincount(cells)
+    between = float(np.mean(np.bincount(cells, rest) ** 2 / count))
+    return max(float(np.mean(rest**2)), between, MIN_SCATTER**2)
 
 
 def motion(data: Measurements, points: Array, distance: Array, normals: Array) -> Motion:
@@ -181,7 +255,7 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     scaled or offset along its normals, explains them better: its taxels are where the contacts are.
     One with turn and scale must leave a tenth of what the simpler ones leave.
     """
-    middle, none, shift = points.mean(axis=0), np.zeros(3), displacement(distance, normals)
+    shift = displacement(distance, normals)
 
     def left(rest: Array) -> tuple[float, float]:
         """Sum of the taxels' squared mean distances, and what scatter has in it."""
@@ -193,11 +267,14 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
         rests.append(distance - (size @ distance) / max(float(size @ size), 1e-300) * size)
     squares = [float(np.sum(rest**2)) for rest in rests]
     whole, (simple, scatter) = left(distance)[0], left(rests[int(np.argmin(squares))])
-    found = Motion.explaining(points, distance, normals)
+    facets = getattr(data.body, "facets", None)  # an exact surface has none
+    corners = points if facets is None else facets.vertices
+    bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
+    found = Motion.explaining(bounds, points, distance, normals)
     if sum(left(distance - np.sum(normals * found.at(points), axis=1))) < MAX_LEFT * simple:
         return found
     moves = squares[0] < min(squares[1:]) and simple <= MAX_LEFT * whole + scatter
-    return Motion(middle, shift if moves else none, none, 0.0)
+    return found if moves else Motion.none(points)
 
 
 def offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> Array:

@@ -19,7 +19,7 @@ from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_param
 from ..data.unit_checks import angles
 from ..joint.contact_correlations import MAX_CORRELATION
 from ..joint.departures import MIN_SCORE
-from . import second_places, verdict, weighted_means
+from . import second_places, swapped_axes, verdict, weighted_means
 from .contact_errors import displacement, motion, offsets
 from .verdict import DOUBT, FAIL, LEVELS, PASS, PRIOR_SIGMAS, Finding, Verdict, level_of
 
@@ -80,6 +80,7 @@ def judge(
         lambda: _priors(data, calibration),
         lambda: _surface(data, calibration),
         lambda: _normals(recording, data),
+        lambda: swapped_axes.findings(recording, data, calibration),
         lambda: weighted_means.findings(data, calibration),
         lambda: second_places.findings(gathered, calibration),
         lambda: verdict.forces(recording, calibration),
@@ -218,7 +219,7 @@ def _surface(data: Measurements, calibration: Calibration) -> list[Finding]:
     typical, move = float(np.median(np.abs(distance))), displacement(distance, hit.normal)
     best = motion(data, hit.point + distance[:, None] * hit.normal, distance, hit.normal)
     depth = float(np.median(data.radii**2 * (data.curvature.mean(axis=1) + 1 / _radius(data))))
-    moved = float(np.sqrt(np.mean(np.sum(best.at(data.points) ** 2, axis=1))))
+    moved = float(np.sqrt(np.mean(np.trace(best.squares(data.points), axis1=1, axis2=2))))
     size = max(typical, float(np.linalg.norm(move)), moved)
     level = level_of(size / depth, SURFACE_DEPTHS)
     if level == PASS:
@@ -227,7 +228,10 @@ def _surface(data: Measurements, calibration: Calibration) -> list[Finding]:
     where = f"{side} the believed surface" if abs(median) > 0.5 * typical else "off the surface"
     if best.turn.any() or best.stretch:
         move, turn = best.shift, ", ".join(f"{-x:.2g}" for x in np.degrees(best.turn))
-        extra = f", turned by ({turn}) degrees and scaled by {1 - best.stretch:.4g}"
+        extra = (
+            f", turned about the body's middle by ({turn}) degrees and scaled by "
+            f"{1 - best.stretch:.4g}"
+        )
     words = (
         f"contact points lie {1e3 * typical:.3g} mm {where} in the median, and on it best if moved "
         f"by ({', '.join(f'{-1e3 * x:.2g}' for x in move)}) mm{extra} (limit "
