@@ -13,9 +13,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .array_backend import functions
+from .array_backend import functions, is_casadi
 from .patch import Patches
-from .problem import principal_curvatures
+from .problem import MIN_RELATIVE_CURVATURE, principal_curvatures
 
 MAX_CURVATURE_RATIO = 1.05
 """Largest ratio of relative curvatures for a circular patch: at it the semi-axes of the ellipse
@@ -25,10 +25,15 @@ differ by 3.3 % (a/b = ratio^(2/3)) and the peak pressure changes by 0.013 %."""
 def relative_radius(curvature: Any, indenter_radius: Any) -> Any:
     """Radius R, m, of the equivalent sphere: 1/R = mean principal curvature + 1/indenter radius.
 
-    `curvature`, 1/m, positive where convex, as in `problem.principal_curvatures`.
+    `curvature`, 1/m, positive where convex, as in `problem.principal_curvatures`. CasADi
+    expressions are bounded as in `problem.relative_curvatures`: a closed loop may pass a hollow.
     """
     k1, k2 = principal_curvatures(curvature)
-    return 1 / ((k1 + k2) / 2 + 1 / indenter_radius)
+    tip = 1 / indenter_radius
+    relative = (k1 + k2) / 2 + tip
+    if is_casadi(curvature):
+        relative = functions(curvature).fmax(relative, MIN_RELATIVE_CURVATURE * tip)
+    return 1 / relative
 
 
 def contact_radius(force: Any, radius: Any, modulus: Any) -> Any:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +12,11 @@ from ..core.config import check_fields, quantity
 from ..core.errors import ContactError
 from . import BATCHED, ContactModel, Patch, solve
 from .problem import effective_modulus
+
+LIGHTER = 0.5, 0.25
+"""Forces, relative to a scene's, that are tried in turn where it is refused. Of the surface of
+iCub's skinned links on which an indenter of 8 mm fits, 3 N reach 62 to 68 %, with a half, too, 70
+to 78 %, with a quarter, too, 74 to 83 %; an eighth adds 1 to 3 %."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,22 @@ class Indentation:
             poisson=self.material.poisson,
             thickness=self.material.thickness,
         )
+
+    def first_patch(self, name: str, curvature: Array) -> Patch:
+        """The patch at the first of principal curvatures (k, 2), 1/m, at which the model `name` is
+        valid. Raises ContactError, of the first one, where it is valid at none.
+        """
+        good = np.flatnonzero(self.invalid_reasons(name, curvature) == "")
+        return self.patch(name, curvature[good[0] if len(good) else 0])
+
+    def lighter_patch(self, name: str, curvature: Array) -> Patch:
+        """`first_patch` under the force, or under the first of its LIGHTER parts under which there
+        is one. Raises ContactError, of the force, where there is none.
+        """
+        for part in (1.0, *LIGHTER):
+            with suppress(ContactError):
+                return replace(self, force=part * self.force).first_patch(name, curvature)
+        return self.first_patch(name, curvature)
 
     def invalid_reasons(self, name: str, curvature: Array) -> Array:
         """Why the model `name` is not valid (k,) at principal curvatures (k, 2), 1/m.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..core.errors import ReachError
 from ..core.se3 import inverse, quaternion, transform
-from ..geometry.geodesics import rotate_about, transport_along
+from ..geometry.geodesics import any_tangents, rotate_about
 from ..geometry.surface.closest_point import Closest
 from ..robot import collision, posture
 from ..robot.contact_rig import ContactRig
@@ -121,10 +121,7 @@ def _path(scene: Scene, rig: ContactRig, hit: Closest) -> tuple[Path, Array]:
     """The path with one row, a segment of its own, for each contact that can be made; and the
     reason (k,) why a contact cannot, "" where it can.
     """
-    tangents = np.concatenate(
-        [np.zeros((0, 3)), *(transport_along(normal[None]) for normal in hit.normal)]
-    )
-    poses = rig.contact_poses(hit.point, hit.normal, tangents)
+    poses = rig.contact_poses(hit.point, hit.normal, any_tangents(hit.normal))
     joints, reason = None, np.full(len(poses), "", dtype=object)
     if scene.indenter.carried_by == "arm" and len(poses):
         joints, poses, reason = _carried(scene, poses)
@@ -208,7 +205,7 @@ def point_contacts(
     rows = np.flatnonzero(reason == "")
     if not len(rows):
         return [], reason
-    tangents = np.concatenate([transport_along(normal[None]) for normal in hit.normal[rows]])
+    tangents = any_tangents(hit.normal[rows])
     if rig.arm is None:
         poses = rig.contact_poses(hit.point[rows], hit.normal[rows], tangents)
         postures = [None] * len(rows)

@@ -62,15 +62,34 @@ class Path(Value):
     """Reason for each taxel (by id) that the path leaves out."""
 
     @classmethod
-    def concatenate(cls, segments: Sequence[Path]) -> Path:
-        """The path that follows the segments one after the other."""
+    def concatenate(cls, segments: Sequence[Path], force_reference: float | None = None) -> Path:
+        """The path that follows the segments one after the other.
+
+        force_reference, N: that of the law, for the segments without `forces` where others have
+        some. Raises ConfigError where it is needed and not given.
+        """
         postures = _joined([s.postures for s in segments])
+        own = sum(s.forces is not None for s in segments)
+        if 0 < own < len(segments):
+            if force_reference is None:
+                raise ConfigError(
+                    "some segments have forces of their own, others that of the law",
+                    value=f"{len(segments) - own} of {len(segments)} with forces = None",
+                    remedy="give force_reference=scene.law.force_reference",
+                )
+            segments = [s.with_forces(force_reference) for s in segments]
         forces = _joined([s.forces for s in segments])
         breaks = tuple(np.cumsum([len(s.points) for s in segments])[:-1].tolist())
         rows: dict[str, Any] = {
             name: np.concatenate([getattr(s, name) for s in segments]) for name in ROWS
         }
         return cls(segments[0].dt, **rows, breaks=breaks, postures=postures, forces=forces)
+
+    def with_forces(self, force_reference: float) -> Path:
+        """The path with forces of its own: where it has none, this one, N, in every segment."""
+        if self.forces is not None:
+            return self
+        return replace(self, forces=np.full(len(self.breaks) + 1, force_reference))
 
     @property
     def segments(self) -> list[Path]:

@@ -48,7 +48,9 @@ def plan_exploration(scene: Scene) -> Plan:
     if scene.indenter.carried_by is not None:
         return contact_plan(scene, scene.rig)
     if exploration.pattern == "parallels" or (exploration.pattern == "auto" and is_cap(scene)):
-        scene.check_contact(scene.body.closest(scene.skin.positions).curvature)
+        curvature = scene.body.closest(scene.skin.positions).curvature
+        for k in np.flatnonzero(scene.invalid_reasons(curvature) != "")[:1]:
+            scene.indentation.patch(scene.model.name, curvature[k])  # raises
         try:
             arm = scene.rig.arm
             path = reachable_parallels(scene) if arm else parallels(scene, 0.0, scene.loop.dt)
@@ -107,7 +109,7 @@ def explore(
         **{name: part for name, part in parts.items() if part is not None},
     )
     try:
-        rig = scene.rig
+        rig = scene.rig_of(scene.patch, scene.invalid_reasons)
     except ContactError:  # a wide contact: beyond the models that a scene is simulated with
         rig = scene.rig_of(scene.indentation.patch("field", _typical_curvature(scene)))
     carried = scene.indenter.carried_by is not None

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..contact.material import LIGHTER
 from ..core.arrays import Array, runs
 from ..core.errors import ContactError
 from ..robot import collision
@@ -21,10 +22,6 @@ from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
 from .path import Path
 
-LIGHTER = 0.5, 0.25
-"""Forces, relative to the scene's, that are tried in turn. Of the surface of iCub's skinned links
-on which an indenter of 8 mm fits, 3 N reach 62 to 68 %, with a half, too, 70 to 78 %, with a
-quarter, too, 74 to 83 %; an eighth adds 1 to 3 %."""
 LIGHTER_HELPS = collision.HOLLOW, collision.EDGE, "does not hold"
 """Reasons, or parts of them, that a lighter contact may not have."""
 AROUND = 1.5
@@ -41,8 +38,9 @@ def lighter_rigs(scene: Scene) -> Iterator[tuple[float, ContactRig]]:
     for part in LIGHTER:
         force = part * scene.law.force_reference
         law = replace(scene.law, force_reference=force)
+        lighter = scene.with_(contact=scene.model.name, law=law)
         with suppress(ContactError):  # the contact model does not hold at any taxel
-            yield force, scene.with_(contact=scene.model.name, law=law).rig
+            yield force, lighter.rig_of(lighter.patch, lighter.invalid_reasons)
 
 
 def pressed_lighter(

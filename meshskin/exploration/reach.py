@@ -47,6 +47,7 @@ SIZE = attrgetter("radius", "force")
 """What a contact is larger or smaller by."""
 UNDER_SKIN = "under the skin: it bridges the place"
 TOO_WIDE = "no contact model holds anywhere"
+AND_LIGHTER = " and, where it is refused, a half or a quarter of it"
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,8 @@ class Reach:
     force: float
     """Contact force, N: as asked, or less where its patch would be too wide for a contact model."""
     share: float
-    """Part of the visible surface on which a contact is possible."""
+    """Part of the visible surface on which a contact is possible with the force, a half or a
+    quarter of it."""
     reasons: Mapping[str, float] = field(default_factory=dict)
     """Part of the visible surface by the reason why no contact is possible, the largest first."""
 
@@ -70,7 +72,8 @@ class Reach:
         return cls(radius, force, float(np.mean(reasons == "")), parts)
 
     def __str__(self) -> str:
-        head = f"{1e3 * self.radius:g} mm reaches {self.share:.0%} with {self.force:.2g} N"
+        forces = f"{self.force:.2g} N{AND_LIGHTER}"
+        head = f"{1e3 * self.radius:g} mm reaches {self.share:.0%} with {forces}"
         kinds: dict[str, float] = {}
         for why, part in self.reasons.items():
             kind = why.split(":")[0]
@@ -187,9 +190,8 @@ def recommendation(found: Sequence[Reach]) -> str:
         return text
     other = max(others, key=SIZE)
     if other.radius == best.radius:
-        return (
-            f"{text} with {best.force:.2g} N instead of {other.share:.0%} with {other.force:.2g} N"
-        )
+        forces = f"{best.force:.2g} N instead of {other.share:.0%} with {other.force:.2g} N"
+        return f"{text} with {forces}, each with a half and a quarter of it where it is refused"
     return f"{text} instead of {other.share:.0%} with {1e3 * other.radius:g} mm"
 
 

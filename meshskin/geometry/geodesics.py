@@ -66,15 +66,21 @@ def transport(vectors: Array, before: Array, after: Array) -> Array:
     return onto(moved, after)
 
 
+def any_tangents(normals: Array) -> Array:
+    """A unit tangent (..., 3) at each of unit normals (..., 3): the projection of the coordinate
+    axis that is least aligned with the normal."""
+    return onto(np.cross(normals, perpendicular(normals)), normals)
+
+
 def transport_along(normals: Array, first: Array | None = None) -> Array:
     """A tangent transported along the unit normals (k, 3) of a path: unit tangents (k, 3).
 
-    `first` is the tangent at the start, by default the projection of the coordinate axis that is
-    least aligned with the normal. Each step projects onto the next tangent plane, which is parallel
-    transport up to the square of the angle between the normals.
+    `first` is the tangent at the start, by default that of `any_tangents`. Each step projects onto
+    the next tangent plane, which is parallel transport up to the square of the angle between the
+    normals.
     """
     out = np.empty_like(normals)
-    tangent = np.cross(normals[0], perpendicular(normals[0])) if first is None else first
+    tangent = any_tangents(normals[0]) if first is None else first
     for k, normal in enumerate(normals):
         tangent = onto(tangent, normal)
         out[k] = tangent

@@ -16,7 +16,10 @@ from ..core.errors import RecordingError, UnknownNameError
 from ..robot.contact_kinematics import JointPath
 from .recording import CONTACTS, JOINT_ANGLES, NOMINAL, READINGS, Recording
 from .skin_log import SkinLog
+from .tare import MAD
 
+MIN_JUDGED = 20
+"""Frames in contact from which the median of their forces is judged."""
 MAX_MISSING = 0.2
 """Largest share of the taxels whose readings a frame in contact lacks: a frame with fewer is no
 contact."""
@@ -57,7 +60,9 @@ def contact_frames(log: SkinLog) -> np.ndarray:
     used = log.in_contact & np.isfinite(log.readings).any(axis=1)
     used &= log.missing.mean(axis=1) <= MAX_MISSING
     if log.force is not None:
-        used &= np.isfinite(log.force) & (log.force > 0)
+        used &= np.isfinite(log.force)
+        _check_forces(log.force, used)
+        used &= log.force > 0
     if not used.any():
         raise RecordingError(
             "the log has no contact that a taxel reads",
@@ -65,6 +70,29 @@ def contact_frames(log: SkinLog) -> np.ndarray:
             remedy="check the taxels' streams, and the sign of the forces",
         )
     return np.flatnonzero(used)
+
+
+def _check_forces(force: Array, in_contact: np.ndarray) -> None:
+    """Raise RecordingError for forces (n,), N, that pull in most frames in contact (n,), or of
+    which these have none."""
+    if in_contact.sum() < MIN_JUDGED:
+        return
+    steps = np.abs(np.diff(force[np.isfinite(force)]))
+    noise = MAD * float(np.median(steps)) / np.sqrt(2.0)
+    middle = float(np.median(force[in_contact]))
+    if middle < -noise:
+        raise RecordingError(
+            "contact forces of the log are negative",
+            value=f"{middle:.3g} N in the median of {in_contact.sum()} frames in contact",
+            remedy="turn the sign: of the wrench's axis in the map, or of the column of forces",
+        )
+    if middle <= noise:
+        raise RecordingError(
+            "the log has no force where taxels are pressed",
+            value=f"{middle:.3g} N in the median of {in_contact.sum()} frames in contact",
+            limit=f"its noise, {noise:.3g} N",
+            remedy="check the wrench's axis in the map, and its clock, or leave the wrench out",
+        )
 
 
 def recording_of(

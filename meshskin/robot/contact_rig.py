@@ -20,7 +20,7 @@ from ..core.arrays import Array
 from ..core.errors import ReachError
 from ..core.se3 import inverse, orthonormal_basis, transform
 from ..geometry.body import Body
-from ..geometry.geodesics import rotate_about, transport_along
+from ..geometry.geodesics import any_tangents, rotate_about
 from . import collision, free_way, posture, turntable
 from .arm import Arm
 
@@ -192,7 +192,7 @@ class ContactRig:
         """
         assert self.arm is not None
         hit = self.body.closest(sites[farthest_points(sites, SITES)])
-        tangents = np.stack([transport_along(normal[None])[0] for normal in hit.normal])
+        tangents = any_tangents(hit.normal)
         poses = self.spin_poses(hit.point, hit.normal, tangents)
         nodes = posture.solve_nodes(self.arm, poses @ inverse(self.mount), anchor_spacing=1)
         if not nodes.within_limits.any():

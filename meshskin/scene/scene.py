@@ -231,27 +231,29 @@ class Scene(Value, NamedFields, Card):
         """
         return self.indentation.invalid_reasons(self.model.name, curvature)
 
-    def check_contact(self, curvature: Array) -> None:
-        """Raise ContactError if the contact model leaves its range at one of (k, 2) curvatures."""
-        for k in np.flatnonzero(self.invalid_reasons(curvature) != "")[:1]:
-            self.indentation.patch(self.model.name, curvature[k])
-
     @cached_property
     def patch(self) -> Patch:
         """The contact patch under the reference force at the skin's centre, or at the taxel nearest
-        to it at which the contact model holds. Raises ContactError where there is none.
-        """
-        positions = self.skin.positions
-        near = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=1))
-        sites = np.concatenate([positions.mean(axis=0)[None], positions[near]])
-        curvature = self.body.closest(sites).curvature
-        good = np.flatnonzero(self.invalid_reasons(curvature) == "")
-        return self.indentation.patch(self.model.name, curvature[good[0] if len(good) else 0])
+        to it at which the contact model holds. Raises ContactError where there is none."""
+        return self.indentation.first_patch(self.model.name, self._middle_first)
+
+    @cached_property
+    def pressed_patch(self) -> Patch:
+        """`patch`, or where there is none that under a half or a quarter of the force, with which
+        plans then press. Raises ContactError where there is none of these."""
+        return self.indentation.lighter_patch(self.model.name, self._middle_first)
+
+    @cached_property
+    def _middle_first(self) -> Array:
+        """Principal curvatures (n + 1, 2), 1/m, at the skin's centre and the taxels by distance."""
+        positions, middle = self.skin.positions, self.skin.positions.mean(axis=0)
+        near = np.argsort(np.linalg.norm(positions - middle, axis=1))
+        return self.body.closest(np.concatenate([middle[None], positions[near]])).curvature
 
     @property
     def threshold(self) -> float:
         """Pressure up to which a reading is not recorded, Pa."""
-        return self.readout.threshold_relative * self.patch.peak
+        return self.readout.threshold_relative * self.pressed_patch.peak
 
     @property
     def reading_model(self) -> ReadingModel:
@@ -267,8 +269,8 @@ class Scene(Value, NamedFields, Card):
         """What the effects may know when they are built."""
         return Context(
             seed=seed,
-            peak_pressure=self.patch.peak,
-            contact_radius=float(self.patch.semi_axes[0]),
+            peak_pressure=self.pressed_patch.peak,
+            contact_radius=float(self.pressed_patch.semi_axes[0]),
             force=self.law.force_reference,
             indenter_radius=self.indenter.radius,
             indenter_position=np.array(self.indenter.position),
@@ -294,8 +296,8 @@ class Scene(Value, NamedFields, Card):
 
     @cached_property
     def rig(self) -> ContactRig:
-        """The arm with the body over the indenter, at the contact patch of the reference force."""
-        return self.rig_of(self.patch, self.invalid_reasons)
+        """The arm with the body over the indenter, at the contact patch; see `pressed_patch`."""
+        return self.rig_of(self.pressed_patch, self.invalid_reasons)
 
     def rig_of(
         self, patch: Patch, model_reasons: Callable[[Array], Array] | None = None

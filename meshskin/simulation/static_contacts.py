@@ -59,7 +59,8 @@ def press(
     earlier presses, of the scene as `without_arm` returns it, to continue instead of new ones of
     the seed. progress("press", done, total): called between batches of presses. Raises
     RecordingError without points, for points far from the body, or for forces that
-    are not positive.
+    are not positive; ContactError where the contact model holds at none of the points
+    under the reference force and no other is given.
 
     >>> scene = ms.Scene.load("sphere")
     >>> len(ms.press(scene, scene.skin.positions[:3], force=[2.0, 3.0, 4.0]).time)
@@ -72,6 +73,8 @@ def press(
         raise RecordingError("there is no point to press", remedy="give one contact point or more")
     hit, count = scene.body.closest(given), len(given)
     _check_distance(hit.distance)
+    if force is None:  # outside the range of its model, a contact under it has no known pressures
+        scene.indentation.first_patch(scene.model.name, hit.curvature)
     forces = _forces(scene.law.force_reference if force is None else force, count)
     turn = exp_so3(np.broadcast_to(spin, count)[:, None] * [0.0, 0.0, 1.0])
     down = shortest_rotation(hit.normal, [0.0, 0.0, -1.0])

@@ -135,7 +135,7 @@ def test_a_body_that_is_no_sphere_needs_no_contact_model_named(tmp_path):
     mesh = scene.body.mesh.copy()
     mesh.apply_scale(1e3)
     mesh.export(tmp_path / "handle.stl")
-    near = np.random.default_rng(0).normal(scale=8e-3, size=(300, 3))
+    near = np.random.default_rng(0).normal(scale=8e-3, size=(150, 3))
     recording = ms.press(scene, scene.skin.positions.mean(axis=0) + near, seed=1)
     recording.save(tmp_path / "log")
     asked = ["calibrate", str(tmp_path / "log"), "--body", str(tmp_path / "handle.stl")]

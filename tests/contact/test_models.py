@@ -61,12 +61,12 @@ def test_casadi_clips_hollows_at_a_thousandth_of_the_tip_curvature(model):
     law, k = contact.ContactModel(model, poisson=0.45, thickness=1.0), ca.SX.sym("k", 2)
     given = {"depth": 1e-5, "indenter_radius": 0.01, "effective_modulus": 0.6e6}
     f = ca.Function("f", [k], [law.force(curvature=k, **given)])
+    assert np.isfinite(float(f([-300.0, -300.0])))
     if model == "hertz":  # the mean curvature alone is positive
         assert float(f([-110.0, 0.0])) == pytest.approx(float(f([-55.0, -55.0])))
         return
     clipped = law.force(curvature=np.array([-99.9, 0.0]), **given)
     assert float(f([-110.0, 0.0])) == pytest.approx(clipped, rel=1e-9)
-    assert np.isfinite(float(f([-300.0, -300.0])))
 
 
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.5])

@@ -7,9 +7,10 @@ import pytest
 import trimesh
 
 import meshskin as ms
+from meshskin.core.errors import ConfigError, ContactError
 from meshskin.exploration import lane_plan
 from meshskin.exploration.left_out import still_left_out
-from meshskin.exploration.path import Plan
+from meshskin.exploration.path import Path, Plan
 from meshskin.exploration.plan import plan_exploration
 from meshskin.exploration.pressing import grown_runs, lighter_helps
 from meshskin.pipeline import _force
@@ -67,6 +68,37 @@ def test_a_hollow_too_wide_for_the_force_is_pressed_lighter(dented):
         )
         hit = dented.body.closest(segment.points[::50])
         assert np.mean(light.invalid_reasons(hit.curvature) == "") > 0.95
+
+
+def test_a_skin_all_of_which_is_too_soft_is_pressed_lighter(noisy):
+    """Under 3 N the patch is wider than a contact model allows at every taxel (a/R = 0.61)."""
+    soft = noisy.with_(
+        material=ms.Material(young=0.06e6),
+        contact="auto",
+        skin=ms.Skin(noisy.skin.poses[:20], np.arange(20), noisy.skin.disc_radius),
+        loop=replace(noisy.loop, mode="quasi_static"),
+        exploration=replace(noisy.exploration, pattern="lanes", lane_spacing=3e-3),
+    )
+    with pytest.raises(ContactError, match="too wide"):
+        ms.press(soft, soft.skin.positions)
+    recording = ms.simulate(soft, seed=1)
+    assert np.median(recording.force) == pytest.approx(1.5, abs=0.05)
+    found = ms.calibrate(recording, soft.belief())
+    error = np.linalg.norm(found.positions - soft.skin.positions, axis=1)
+    assert np.isfinite(error).sum() >= 10
+    assert np.nanmax(error / found.position_sigma) < 5.0
+    with pytest.raises(ContactError, match="too wide"):  # under a quarter, too
+        plan_exploration(soft.with_(material=ms.Material(young=0.01e6)))
+
+
+def test_joined_paths_press_each_segment_with_its_own_force(dented):
+    light, full = plan_exploration(dented).path.segments[:2]
+    whole = Path.concatenate(
+        [replace(light, forces=np.array([0.75])), replace(full, forces=None)], 3.0
+    )
+    np.testing.assert_array_equal(whole.forces, [0.75, 3.0])
+    with pytest.raises(ConfigError, match="1 of 2 with forces = None"):
+        Path.concatenate([light, replace(full, forces=None)])
 
 
 def test_lighter_contacts_are_simulated_and_calibrated(dented):

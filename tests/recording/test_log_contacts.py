@@ -32,6 +32,27 @@ def test_frames_in_contact_have_readings_and_forces(log):
         contact_frames(replace(log, force=np.zeros(4)))
 
 
+@pytest.mark.parametrize(
+    ("scale", "words"), [(-1.0, "forces of the log are negative"), (0.0, "no force where taxels")]
+)
+def test_forces_of_the_wrong_sign_or_axis_are_named(scale, words):
+    """Few frames have a force above zero by its noise alone: they are not taken for contacts."""
+    rng, pressed = np.random.default_rng(1), np.sin(np.linspace(0.0, 20.0, 400)) > 0
+    log = SkinLog(
+        time=0.02 * np.arange(400),
+        joint_names=(),
+        joint_angles=np.empty((400, 0)),
+        taxel_ids=np.arange(1),
+        readings=np.where(pressed, 9.0, np.nan)[:, None],
+        noise=np.ones(1),
+        in_contact=pressed,
+        force=rng.normal(0.0, 0.02, 400) + 3.0 * pressed,
+    )
+    assert len(contact_frames(log)) == pressed.sum()
+    with pytest.raises(RecordingError, match=words):
+        contact_frames(replace(log, force=log.force - 3.0 * (1 - scale) * pressed))
+
+
 def test_joints_are_those_asked_for_in_their_order(log):
     angles, rates = joint_path(log, ("wrist", "elbow")).at(np.array([0.1, 0.25]))
     np.testing.assert_allclose(angles, [[3.0, 2.0], [6.0, 5.0]], atol=1e-12)

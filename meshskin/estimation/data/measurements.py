@@ -210,9 +210,16 @@ class Measurements:
         return replace(self, belief=belief, references=(curvature, peak))
 
     def at_contacts(self, hit: Closest) -> Measurements:
-        """These measurements with the contacts at the points `hit` of the body."""
+        """These measurements with the contacts at the points `hit` (m) of the body.
+
+        Contacts that come to where the contact model does not hold, as at a crease or a hollow of a
+        mesh, keep the curvatures that they have: those where they are, not those of a trial, are
+        known to be in its range.
+        """
         if self.learned:
             hit = over_patches(self.belief, hit, self.force)
+        else:
+            hit = replace(hit, curvature=self._valid_curvature(hit.curvature))
         return replace(
             self,
             points=hit.point,
@@ -221,6 +228,17 @@ class Measurements:
             curvature=hit.curvature,
             patches=nominal_patches(self.model, self.belief, self.force, hit.curvature),
         )
+
+    def _valid_curvature(self, curvature: Array) -> Array:
+        """Curvatures (m, 2), 1/m, where the contact model holds, and those of the contacts (m)
+        elsewhere."""
+        valid = self.model.is_valid(
+            force=self.force,
+            curvature=curvature,
+            indenter_radius=self.belief.indenter.radius,
+            effective_modulus=self.modulus,
+        )
+        return np.where(valid[:, None], curvature, self.curvature)
 
     @cached_property
     def phase(self) -> Array:

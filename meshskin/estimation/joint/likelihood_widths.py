@@ -35,31 +35,52 @@ def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array
     contacts. Where it falls at x by a factor exp(-u^2 / 2), the standard deviation is at least
     |x| / max(u, 1). scale: variance of the residuals by which the covariance was multiplied.
     """
-    points, frames = (
-        estimator.problem.points(estimator.state),
-        estimator.problem.parametrization.rotations(),
-    )
+    points, out = estimator.problem.points(estimator.state), covariance.copy()
     rows = np.flatnonzero(open_sectors(estimator, points) > OPEN_SECTOR)
-    out = covariance.copy()
     if not len(rows):
         return out
-    limit = RING * float(np.median(estimator.data.reach()))
-    arcs = np.isin(rows, rows_seen_from_one_place(estimator, rows, points[rows]))
-    for curved, group in ((False, rows), (True, rows[arcs])):
-        copies = len(STEPS) * (len(ACROSS) if curved else 1)
-        for part in batches(group, copies) if len(group) else []:
-            value, vectors = np.linalg.eigh(covariance[part])
-            sigma, axis = np.sqrt(value[:, 1]), vectors[:, :, 1]
-            step = np.clip(STEPS[:, None] * sigma, -limit, limit)
-            if curved:
-                there = _along_arcs(estimator, part, points[part], step, vectors, value)
-            else:
-                way = np.einsum("kij,kj->ki", frames[part][:, :, :2], axis)
-                there = (points[part] + step[:, :, None] * way)[:, None]
-            wide = _widths(estimator, part, points[part], there, scale)
-            excess = np.maximum(wide, sigma) ** 2 - np.einsum("ki,kij,kj->k", axis, out[part], axis)
-            out[part] += np.maximum(excess, 0)[:, None, None] * axis[:, :, None] * axis[:, None, :]
+    for part in batches(rows, len(STEPS)):
+        out[part] = widened_along_axis(estimator, part, covariance[part], scale)
+    arcs = rows_seen_from_one_place(estimator, rows, points[rows])
+    for part in batches(arcs, len(STEPS) * len(ACROSS)) if len(arcs) else []:
+        step, variances, axes = _steps(estimator, covariance[part])
+        there = _along_arcs(estimator, part, points[part], step, axes, variances)
+        out[part] = _to_width(estimator, part, there, covariance[part], out[part], scale)
     return out
+
+
+def widened_along_axis(
+    estimator: JointEstimator, rows: np.ndarray, covariance: Array, scale: float
+) -> Array:
+    """Covariances (r, 2, 2), m^2, of the taxels `rows`, no narrower than the likelihood along their
+    weakest axis."""
+    points = estimator.problem.points(estimator.state)[rows]
+    frames = estimator.problem.parametrization.rotations()[rows]
+    step, _, axes = _steps(estimator, covariance)
+    way = np.einsum("kij,kj->ki", frames[:, :, :2], axes[:, :, 1])
+    there = (points + step[:, :, None] * way)[:, None]
+    return _to_width(estimator, rows, there, covariance, covariance, scale)
+
+
+def _steps(estimator: JointEstimator, covariance: Array) -> tuple[Array, Array, Array]:
+    """Lengths (steps, r), m, of the steps along the weakest axes of covariances (r, 2, 2), which
+    are the last of their axes (r, 2, 2), and the variances (r, 2) along all."""
+    value, vectors = np.linalg.eigh(covariance)
+    limit = RING * float(np.median(estimator.data.reach()))
+    return np.clip(STEPS[:, None] * np.sqrt(value[:, 1]), -limit, limit), value, vectors
+
+
+def _to_width(
+    estimator: JointEstimator, rows: np.ndarray, there: Array, covariance: Array, given: Array,
+    scale: float,
+) -> Array:  # fmt: skip
+    """The covariances `given` (r, 2, 2) widened along the weakest axes of `covariance` (r, 2, 2) to
+    the likelihood at places `there`, as `_widths`."""
+    value, vectors = np.linalg.eigh(covariance)
+    axis, points = vectors[:, :, 1], estimator.problem.points(estimator.state)[rows]
+    wide = np.maximum(_widths(estimator, rows, points, there, scale), np.sqrt(value[:, 1]))
+    excess = np.maximum(wide**2 - np.einsum("ki,kij,kj->k", axis, given, axis), 0)
+    return np.asarray(given + excess[:, None, None] * axis[:, :, None] * axis[:, None, :])
 
 
 def _widths(

@@ -34,6 +34,7 @@ from ..data.patch_shape import fitting, over_patches
 from .clock import first_offset
 from .heights import Heights, depths, surface_heights, timed_by_the_fastest
 from .joint_residuals import JointResidual, joint_residuals
+from .mesh_error import MeshError
 from .plausible import check_on_body
 from .steady import steady
 
@@ -224,6 +225,7 @@ def calibrate_log(
         reference = float(np.median(pressed)) if len(pressed) else NOMINAL_FORCE
     belief = replace(belief, force_reference=reference)
     log, clock, heights, x = _started(log, kinematics, path, belief, reference)
+    belief = replace(belief, surface_sigma=heights.mesh_error.sigma)
     kinematics, time, force = heights.model, heights.time, _forces(log, reference)
     frames = np.arange(len(log.time))
     as_believed = np.zeros(len(x))
@@ -319,7 +321,8 @@ def _heights(
         hit = over_patches(belief, belief.body.closest(centres), force)
         hit = fitting(hit, belief.indenter.radius)  # before the fit, contacts are anywhere
         depth = depths(belief, hit.curvature, force)
-        heights = Heights(kinematics, path, time, belief.body, belief.indenter.radius, depth)
+        error = MeshError.of(belief.body, hit, belief.surface_sigma)
+        heights = Heights(kinematics, path, time, belief.body, belief.indenter.radius, depth, error)
         x = heights.fit(x)
     return heights, x
 

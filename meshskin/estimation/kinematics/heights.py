@@ -14,7 +14,7 @@ Source of the robust weights: Huber, "Robust Statistics" (1981).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from ...core.errors import CalibrationError
 from ...geometry.body import Body
 from ...robot.contact_kinematics import DELAYS, JOINTS, ContactKinematics, JointPath
 from ...scene.belief import Belief
+from .mesh_error import CELL, MeshError
 
 MAX_ITERATIONS = 25
 """Largest number of damped Gauss-Newton steps. The heights are met within five; along directions
@@ -50,9 +51,6 @@ MAD = 0.6745
 LOG_DEPTH = 0.7
 """Standard deviation of the logarithm of the depths: that of E* within a factor e, as
 `PRIORS["modulus"]`, of which the depth is the power -2/3."""
-CELL = 0.01
-"""Size, m, of cells of the body in which residuals may be alike: dents of a mesh are as wide as
-this and more."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +86,8 @@ class Heights:
     """Radius of the indenter, m."""
     depth: Array
     """Depths (m,), m, of the indentations by the believed material."""
+    mesh_error: MeshError = field(default_factory=MeshError)
+    """Error of the body's surface."""
 
     @property
     def precision(self) -> Array:
@@ -189,14 +189,15 @@ class Heights:
     def linearized(self, x: Array) -> LinearizedHeights:
         """The unknowns by heights that are linear about x (K + 1,).
 
-        Residuals that are alike in a cell of the body count as fewer. Delays that the heights
-        hardly tell stay as they were known before.
+        Residuals that are alike in a cell of the body count as fewer, and those in a cell share the
+        error of the mesh. Delays that the heights hardly tell stay as they were known before.
         """
         r, jacobian, points = self.residuals(x)
         weight, count = _weights(r, _scatter(r)), len(x) - 1
         weight = weight / _design_effect(points, weight * r)
-        hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(self.precision)
-        gradient = jacobian.T @ (weight * r) + self.precision * x
+        weighted = self.mesh_error.without(points, weight, jacobian)
+        hessian = jacobian.T @ weighted + np.diag(self.precision)
+        gradient = weighted.T @ r + self.precision * x
         if len(weak := self._weak(jacobian)):
             told = np.linalg.solve(hessian[np.ix_(weak, weak)], hessian[weak])
             gradient = gradient - told.T @ gradient[weak]

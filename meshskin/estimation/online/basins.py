@@ -16,7 +16,7 @@ from ...core.arrays import Array
 from ..chart import Charts
 from ..data.measurements import Measurements
 from ..joint.joint_estimator import JointEstimator
-from ..joint.likelihood_widths import widened
+from ..joint.likelihood_widths import widened_along_axis
 from ..joint.parametrization import SurfaceParametrization
 from ..joint.reduced_nlp import MAX_ITERATIONS
 from ..joint.rival_optima import MAX_LOG_ODDS, likeliest_rivals
@@ -61,7 +61,7 @@ def examine(
     yield
     places, odds = yield from likeliest_rivals(estimator, rows, charts.points, STEPS)
     yield
-    spread = widened(estimator, covariance, 1.0) - covariance
+    spread = widened_along_axis(estimator, rows, covariance, 1.0) - covariance
     rival = odds < MAX_LOG_ODDS
     apart = np.where(rival[:, None], places - charts.points, 0.0)
     apart = np.einsum("tij,ti->tj", charts.tangents, apart)

@@ -19,6 +19,7 @@ from ...core.arrays import Array, sums_by_group
 from ..data import delay
 from ..data.registration import CELL, MIN_SCATTER
 from ..trilateration.displacements import surface_motion
+from .tilts import tilts
 
 if TYPE_CHECKING:
     from ..data.measurements import Measurements
@@ -67,6 +68,9 @@ def systematic_covariance(
         apart = np.einsum("nia,ni->na", tangents, wider)
         tangential += apart[:, :, None] * apart[:, None, :]
     tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
+    if data.parameters.motion is not None:
+        tilted = np.einsum("nia,ni->na", tangents, tilts(data, hit.point, hit.distance))
+        tangential += tilted[:, :, None] * tilted[:, None, :]
     into = surface_motion(shape)
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
     out[:, 2, 2] += _normal_variance(data, hit.distance) + data.belief.surface_sigma**2

@@ -19,7 +19,7 @@ from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_param
 from ..data.unit_checks import angles
 from ..joint.contact_correlations import MAX_CORRELATION
 from ..joint.departures import MIN_SCORE
-from . import second_places, verdict, weighted_means
+from . import second_places, swapped_axes, verdict, weighted_means
 from .contact_errors import displacement, motion, offsets
 from .verdict import DOUBT, FAIL, LEVELS, PASS, PRIOR_SIGMAS, Finding, Verdict, level_of
 
@@ -80,6 +80,7 @@ def judge(
         lambda: _priors(data, calibration),
         lambda: _surface(data, calibration),
         lambda: _normals(recording, data),
+        lambda: swapped_axes.findings(recording, data, calibration),
         lambda: weighted_means.findings(data, calibration),
         lambda: second_places.findings(gathered, calibration),
         lambda: verdict.forces(recording, calibration),

@@ -246,7 +246,7 @@ def test_bad_logs_are_refused_in_one_line(small):
     with pytest.raises(RecordingError, match="no contact that a taxel reads"):
         calibrate_log(silent, model, belief(small))
     pulled = replace(log, force=np.full(len(log.time), -3.0))
-    with pytest.raises(RecordingError, match="sign of the forces"):
+    with pytest.raises(RecordingError, match="forces of the log are negative"):
         calibrate_log(pulled, model, belief(small))
     degrees = replace(log, joint_angles=np.degrees(log.joint_angles))
     with pytest.raises(

@@ -93,19 +93,21 @@ def test_an_unchanged_skin_of_raw_readings_is_confirmed(world, mapped):
 def test_an_updated_map_has_the_order_of_its_belief(mapped):
     """Ids are sorted: a belief in another order would assign the readings to other taxels."""
     map_, belief, _ = mapped
-    columns = {name: values[::-1] for name, values in vars(map_).items() if name in COLUMNS}
-    backwards = replace(
+    columns = {
+        name: np.roll(values, 1, 0) for name, values in vars(map_).items() if name in COLUMNS
+    }
+    shifted = replace(
         map_, **columns,
-        taxel_unknowns={k: v[::-1] for k, v in map_.taxel_unknowns.items()},
-        additions=np.array([[5.0, 11.0, 0.1]]), belief=belief.with_(taxel_ids=map_.ids[::-1]),
+        taxel_unknowns={k: np.roll(v, 1, 0) for k, v in map_.taxel_unknowns.items()},
+        additions=np.array([[5.0, 11.0, 0.1]]), belief=belief.with_(taxel_ids=np.roll(map_.ids, 1)),
     )  # fmt: skip
-    known = skin_map(backwards, belief)
+    known = skin_map(shifted, belief)
     one = np.ones(1, dtype=bool)
     found = [Evidence(0.0, unchanged(known, u), (), -np.inf, one, one, True) for u in range(12)]
-    now = updated(backwards, belief, known, found, (), 36)
+    now = updated(shifted, belief, known, found, (), 36)
     np.testing.assert_array_equal(now.ids, now.belief.taxel_ids)
     np.testing.assert_array_equal(now.positions, map_.positions)
-    np.testing.assert_array_equal(now.additions, [[5.0, 0.0, 0.1]])
+    np.testing.assert_array_equal(now.additions, [[5.0, 10.0, 0.1]])
 
 
 def test_raw_readings_are_predicted_by_the_learned_response(world, mapped):

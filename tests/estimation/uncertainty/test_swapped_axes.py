@@ -1,0 +1,63 @@
+"""Contact points without normals, mirrored on a nearly symmetric body: the reading fits alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import trimesh
+
+import meshskin as ms
+from meshskin.estimation.uncertainty.swapped_axes import signed_permutations
+from meshskin.geometry.region import Cap
+
+CONTACTS = 300
+
+
+@pytest.fixture(scope="module")
+def bumpy(noisy):
+    """An ellipsoid with a bump of 1 mm among its taxels."""
+    ball = trimesh.creation.icosphere(4)
+    bump = np.exp(-np.sum((ball.vertices - [0.3, 0.9, 0.3]) ** 2, axis=1) / 0.1)
+    vertices = ball.vertices * [0.05, 0.04, 0.09] * (1 + 0.025 * bump)[:, None]
+    body = ms.Body.from_mesh(trimesh.Trimesh(vertices, ball.faces))
+    cap = Cap(direction=(0.3, 0.9, 0.3))
+    return noisy.with_(
+        body=body,
+        skin=ms.Skin.cover(body, spacing=8e-3, count=20, seed=1, region=cap, disc_radius=2e-3),
+        contact="auto",
+        material=ms.Material(young=0.4e6),
+        indenter=ms.Indenter.sphere(8e-3),
+        loop=replace(noisy.loop, mode="quasi_static"),
+    )
+
+
+def log(scene, signs):
+    """A log without normals whose contact points have other signs."""
+    rng = np.random.default_rng(1)
+    near = scene.skin.positions[rng.integers(len(scene.skin), size=CONTACTS)]
+    points = scene.body.closest(near + rng.uniform(-6e-3, 6e-3, (CONTACTS, 3))).point
+    made = ms.press(scene, points, force=rng.uniform(2.5, 3.5, CONTACTS), seed=1)
+    contacts = made.contacts
+    columns = dict(zip(("px", "py", "pz"), (made.points * signs).T, strict=True))
+    columns |= dict.fromkeys(("nx", "ny", "nz"), np.full(CONTACTS, np.nan))
+    for name, values in columns.items():
+        contacts = contacts.set_column(contacts.column_names.index(name), name, pa.array(values))
+    return ms.Recording(contacts, made.readings, {})
+
+
+@pytest.mark.parametrize(
+    ("signs", "level", "words"),
+    [((1.0, 1.0, 1.0), "PASS", ""), ((1.0, -1.0, 1.0), "FAIL", "axes as (x, -y, z)")],
+)
+def test_mirrored_contact_points_are_named_without_normals(bumpy, signs, level, words):
+    found = ms.calibrate(log(bumpy, np.array(signs)), bumpy.belief())
+    assert found.verdict.level == level
+    assert words in " ".join(found.verdict.reasons)
+
+
+def test_each_order_and_sign_of_the_axes_is_tried_once():
+    axes = signed_permutations()
+    assert len({tuple(one.ravel()) for one in axes}) == 47
+    np.testing.assert_array_equal(np.abs(np.linalg.det(axes)), 1.0)
+    assert not (axes == np.eye(3)).all(axis=(1, 2)).any()
