@@ -37,6 +37,12 @@ def _map_axes(figure: Figure, xy: Array, left: float, bottom: float, size: float
     return axes
 
 
+def _discs(xy: Array, data: ReportData) -> Array:
+    """Corners (2 n, 2), mm, of the discs of taxels at points (n, 2), mm."""
+    radius = data.disc_radius * MM
+    return np.concatenate([xy - radius, xy + radius])
+
+
 def _ellipses(
     axes: Axes, xy: Array, diameters: ArrayLike, heading: Array | float = 0.0, **style: Any
 ) -> Any:
@@ -108,7 +114,7 @@ def estimates(data: ReportData) -> Figure:
     factor, short = drawn_scale(lengths, 0.4 * pitch(t) * MM)
     ends = a + (factor * short)[:, None] * (b - a)
     figure = theme.new_figure(6.0, 6.1)
-    axes = _map_axes(figure, np.concatenate([a, ends]), 0.65, 0.6, 5.0)
+    axes = _map_axes(figure, np.concatenate([_discs(a, data), ends]), 0.65, 0.6, 5.0)
     _ellipses(
         axes,
         a,
@@ -206,7 +212,7 @@ def coverage(data: ReportData) -> Figure:
     touched = (counts > 0) & drawn
     figure = theme.new_figure(6.6, 6.1)
     route = plane.project(np.zeros((0, 3)) if data.recording is None else data.recording.points)
-    view = _view_points(xy[drawn], route, 0.2) if drawn.any() else route
+    view = _view_points(_discs(xy[drawn], data), route, 0.2) if drawn.any() else route
     axes = _map_axes(figure, view, 0.65, 0.6, 5.0)
     handles = []
     if len(route):

@@ -26,9 +26,9 @@ MAX_FACES = 5000
 """Most faces of the body in the page: 0.1 MB."""
 SUNK = 1e-3
 """Depth of the contacts below the body, m, from which it hides them."""
-FIELD_OF_VIEW = 0.31
-"""Tangent of half the angle that the body takes of the height of the view: three quarters of what
-plotly's camera sees, so that the numbers at the axes are in view."""
+FIELD_OF_VIEW = 0.36
+"""Tangent of half the angle that the axes take of the height of the view: 0.87 of what plotly's
+camera sees, so that their numbers and titles are in view."""
 WIDTH = 1.6
 """Width of the view in its height, at least."""
 FRAME_LENGTH = 0.4
@@ -255,7 +255,8 @@ def layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
         return {"center": vector(centre), "eye": vector(eye), "up": vector(up)}
 
     around = plane.origin + radius * np.concatenate([np.eye(3), -np.eye(3)])
-    cameras = {"whole body": camera(middle, extent), "skin": camera(plane.origin, around)}
+    corners = np.stack(np.meshgrid(*np.stack([low, high]).T), axis=-1).reshape(-1, 3)
+    cameras = {"whole body": camera(middle, corners), "skin": camera(plane.origin, around)}
     return {
         "scene": {
             **axes,

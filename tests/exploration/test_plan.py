@@ -217,4 +217,4 @@ def test_no_slide_leads_through_a_thin_plate():
         assert np.ptp(np.sign(segment.points[:, 2])) == 0
     for force in np.unique(path.forces):  # one side after the other
         own = [side for side, at in zip(sides, path.forces, strict=True) if at == force]
-        assert np.count_nonzero(np.diff(np.ravel(own))) == 1
+        assert np.count_nonzero(np.diff(np.ravel(own))) <= 1

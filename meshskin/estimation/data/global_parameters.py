@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from ...contact.learned import PROFILE_SIZE
 from ...core.arrays import Array
 from ...core.errors import UnknownNameError
 from ...scene.contact_motion import ContactMotion
+
+if TYPE_CHECKING:
+    from ...scene.belief import Belief
 
 DRIFT_SIZE = 4
 """Entries of a drift that all taxels share: Legendre polynomials of the time from the first degree
@@ -106,6 +110,9 @@ UNITS = (
     | dict.fromkeys(("creep", "gain_drift", "offset_drift"), "")
 )
 """Units of global parameters that are neither lengths nor angles nor logarithms."""
+RADIUS_TOLERANCE = 0.03
+"""Relative standard deviation of the indenter's radius, which readings cannot tell from E*. Chosen:
+0.3 mm of 10 mm, as a worn or printed indenter has it."""
 
 
 @dataclass(frozen=True)
@@ -296,3 +303,14 @@ def natural_units(
             unit = UNITS.get(name, "rad" if "rotation" in label else "m")
             out[label] = value, sigma, unit
     return out
+
+
+def radius_deviation(belief: Belief, curvature: Array) -> float:
+    """Standard deviation of ln E* by that of the indenter's radius R, at contacts with principal
+    curvatures (m, 2), 1/m.
+
+    The width of a Hertz patch depends on E* (1/R + k), k being the body's mean curvature, so that
+    ln E* changes by ln R times 1 / (1 + R k).
+    """
+    bend = belief.indenter.radius * curvature.mean(axis=1)
+    return RADIUS_TOLERANCE * float(np.median(1 / np.maximum(1 + bend, 0.1)))

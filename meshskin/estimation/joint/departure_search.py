@@ -12,7 +12,7 @@ import numpy as np
 from ...core.arrays import Array
 from ..data.global_parameters import ELECTRONICS, PRIORS
 from ..posegraph.symmetric_blocks import SingularMatrixError
-from .departures import MIN_SCORE
+from .departures import FILTER_SHARE, MIN_SCORE
 from .deviations import Deviations
 from .leaks import leaking_pairs
 from .parametrization import Unknowns
@@ -184,7 +184,7 @@ def _extended(
     p, sigma = effects.data.parameters, PRIORS[name]
     if len(start):
         own = np.full(len(start), sigma)
-        if name == "creep" and abs(start[0]) > MAX_SHARE:
+        if name == "creep" and abs(start[0]) >= FILTER_SHARE:
             own[2] = FILTER_LIFT
         p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, own))
         u = replace(u, s=np.append(u.s, start))

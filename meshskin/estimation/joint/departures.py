@@ -42,8 +42,8 @@ ONE_SIDED = ("crosstalk", "friction", "hysteresis")
 """Departures whose parameter is positive."""
 SEEN = 1e-6
 """Least information on a parameter, relative to that with known taxels: rounding is below it."""
-MAX_SHARE = 0.9
-"""Largest share of creep from which an estimate starts."""
+FILTER_SHARE = 0.9
+"""Share of creep from which the estimate of a low-pass filter, whose share is 1, starts."""
 SHARE = 0.2
 """Least share of hysteresis and creep from which an estimate starts: at zero the width and the time
 constant have no effect."""
@@ -92,7 +92,7 @@ class FittedReadings:
             if name in ONE_SIDED:
                 score *= float(np.sign(first)) or 1.0
             elif name == "creep":  # of electronics that average a large part
-                share = np.clip(abs(first), SHARE, MAX_SHARE)
+                share = np.clip(abs(first), SHARE, FILTER_SHARE)
                 start = np.array([np.copysign(share, first), *start[1:]])
             if name not in found or score > found[name][0]:
                 found[name] = score, start
@@ -174,6 +174,25 @@ class FittedReadings:
         lost = np.diag(information) <= SEEN * known
         information[lost] = information[:, lost] = 0.0
         return np.where(lost, 0.0, slope), information
+
+    def unexplained(self, columns: Array) -> tuple[Array, Array]:
+        """What other unknowns do not explain of `columns` (k, q), derivatives of the readings in
+        parameters that all taxels share; and what those other than the errors of the contacts do
+        not, whose products with `rate` are the terms of the marginal likelihood's derivative."""
+        if self.system is not None:
+            weighted = self.curvature[:, None] * columns
+            taxels, contacts, shared = self.system.solve(
+                *self.system.transposed(self.jacobian, weighted)
+            )
+            left = columns - self.system.forward(self.jacobian, (taxels, contacts, shared))
+            fixed = taxels, np.zeros_like(contacts), shared
+            return left, columns - self.system.forward(self.jacobian, fixed)
+        scale, taxel = self._own_information[0], self.readings.taxel
+        left = columns.copy()
+        for k, column in enumerate(columns.T):
+            found = self._solved(self._coupling(column)) / scale
+            left[:, k] -= np.einsum("ak,ka->k", self.own, found[taxel])
+        return left, left
 
     def each(self, column: Array) -> tuple[Array, Array]:
         """Derivative (n,) of the log-likelihood of each taxel in a parameter with the derivatives

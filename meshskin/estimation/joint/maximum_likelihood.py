@@ -21,6 +21,7 @@ from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
 from ...core.progress import Stage
 from .. import chart
+from ..data.global_parameters import RADIUS_TOLERANCE, radius_deviation
 from ..data.measurements import Measurements
 from ..result import (
     CENSORING,
@@ -64,9 +65,6 @@ WIDENED = (
 ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring contacts"
 USUAL_STEPS = 4
 """Usual steps of an estimate: the start, two linearizations, and a search for second optima."""
-RADIUS_TOLERANCE = 0.03
-"""Relative standard deviation of the indenter's radius, which readings cannot tell from E*. Chosen:
-0.3 mm of 10 mm, as a worn or printed indenter has it."""
 RADIUS = "indenter radius within {:.0%} (1 sigma): its share of the standard deviation of E*"
 UNDECLARED_GAINS = "gain and offset of each taxel, undeclared: without them taxels misfit"
 
@@ -250,7 +248,10 @@ def _result(
     modulus_sigma: float | None = None
     if "modulus" in parameters.names:
         modulus_sigma = modulus * float(
-            np.hypot(global_sigma[parameters.columns["modulus"]][0], radius_deviation(data))
+            np.hypot(
+                global_sigma[parameters.columns["modulus"]][0],
+                radius_deviation(data.belief, data.curvature),
+            )
         )
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, parametrization.points()), np.nan),
@@ -301,16 +302,6 @@ def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:
     apart = np.nan_to_num(means - parametrization.points())
     apart = np.einsum("kij,ki->kj", parametrization.rotations()[:, :, :2], apart)
     return np.asarray((1 - 1 / fit.reduced) * apart[:, :, None] * apart[:, None, :])
-
-
-def radius_deviation(data: Measurements) -> float:
-    """Standard deviation of ln E* by that of the indenter's radius R.
-
-    The width of a Hertz patch depends on E* (1/R + k), k being the body's mean curvature, so that
-    ln E* changes by ln R times 1 / (1 + R k).
-    """
-    bend = data.belief.indenter.radius * data.curvature.mean(axis=1)
-    return RADIUS_TOLERANCE * float(np.median(1 / np.maximum(1 + bend, 0.1)))
 
 
 def _scale_and_fit(

@@ -31,7 +31,7 @@ AMBIENT, LAMP = 2.0, 1.4
 have the colors of the legend, others are darker."""
 LAMP_DISTANCE = 100.0
 """Distance of the lamp, m: far from everything, so that it shines in one direction."""
-SKIN_DISTANCE, ROBOT_DISTANCE = 2.1, 1.5
+SKIN_DISTANCE, ROBOT_DISTANCE = 2.8, 1.5
 """Distance of the camera in units of the radius of the skin, and of the robot, which is slim.
 Chosen by looking."""
 HIDDEN = 1e-6
@@ -106,7 +106,7 @@ class Drawing:
         count = len(self.stage.belief.taxel_ids)
         ball = icosphere(subdivisions=1)
         self._batch("/body/taxels", marks.disc(), count, marks.UNSEEN)
-        self._batch("/body/sigma", (ball.vertices, ball.faces), count, marks.UNSEEN, opacity=0.45)
+        self._batch("/body/sigma", (ball.vertices, ball.faces), count, marks.SIGMA, opacity=0.6)
         if (truth := self.stage.truth) is not None:
             self._batch("/body/truth", marks.ring(), len(truth), marks.TRUTH)
             self._place_on_body("/body/truth", truth, 1.15 * self.stage.belief.disc_radius)
@@ -139,11 +139,13 @@ class Drawing:
         self.nodes["/body/taxels"].batched_colors = colors
         axes, turns = marks.ellipsoids(snapshot.covariances, self.magnified)
         known = np.asarray(np.isfinite(snapshot.positions).all(axis=1))
-        node = self.nodes["/body/sigma"]
-        node.batched_positions = np.where(known[:, None], snapshot.positions, 0.0)
-        node.batched_wxyzs = _wxyz(turns)
+        node, places = self.nodes["/body/sigma"], np.zeros((len(known), 3))
+        if known.any():  # on the discs, which would hide them
+            hit = self.stage.belief.body.closest(snapshot.positions[known])
+            above = 2 * LIFT + marks.DISC_HEIGHT * self.stage.belief.disc_radius
+            places[known] = snapshot.positions[known] + above * hit.normal
+        node.batched_positions, node.batched_wxyzs = places, _wxyz(turns)
         node.batched_scales = np.where(known[:, None], np.maximum(axes, HIDDEN), HIDDEN)
-        node.batched_colors = colors
 
     def _place_on_body(self, name: str, points: Array, size: float) -> None:
         """Place the marks of a batch at points (k, 3), m, upright on the surface; hide the rest."""

@@ -14,11 +14,13 @@ SIGMA_MM = (0.01, 10.0)
 module. One scale for every recording, so that pages can be compared."""
 UNSEEN = (255, 255, 255)
 """Color of a taxel that is not determined: the middle of the scale is gray."""
-PATCH, NEXT, TRUTH = (213, 94, 0), (204, 51, 120), (95, 107, 122)
-"""Colors of the contact patch, of the next touch and of true taxels."""
-MAGNIFIED = 20.0
-"""Factor of the drawn ellipsoids: at 0.05 mm, a usual result, they are as large as a taxel of 2 mm
-in diameter."""
+PATCH, NEXT, TRUTH, SIGMA = (213, 94, 0), (204, 51, 120), (95, 107, 122), (0, 158, 115)
+"""Colors of the contact patch, of the next touch, of true taxels and of the ellipsoids."""
+DISC_HEIGHT = 0.1
+"""Height of a disc above its middle, relative to its radius."""
+MAGNIFIED = 50.0
+"""Factor of the drawn ellipsoids: at 0.02 mm, a usual result, they are half as wide as the disc of
+a taxel of 2 mm radius."""
 MAX_AXIS = 4e-3
 """Largest drawn semi-axis, m: about a taxel's distance from its neighbour, so that the skin remains
 to be seen while nothing is certain."""
@@ -77,7 +79,7 @@ def disc(sides: int = 24) -> tuple[Array, NDArray[np.intp]]:
     """Vertices and faces of a flat disc of radius 1 and height 0.2, z its normal."""
     from trimesh.creation import cylinder
 
-    made = cylinder(radius=1.0, height=0.2, sections=sides)
+    made = cylinder(radius=1.0, height=2 * DISC_HEIGHT, sections=sides)
     return np.asarray(made.vertices), np.asarray(made.faces)
 
 
@@ -112,16 +114,17 @@ def legend(truth: bool) -> str:
     ticks = "".join(f"<span>{theme.compact(10.0**k)}</span>" for k in decades)
     spread = "display:flex;justify-content:space-between"
     marks = [("&#9679;", UNSEEN, "not determined"), ("&#9679;", PATCH, "contact patch"),
-             ("&#9660;", NEXT, "next touch")]  # fmt: skip
+             ("&#9679;", SIGMA, "1 sigma"), ("&#9660;", NEXT, "next touch")]  # fmt: skip
     marks += [("&#9675;", TRUTH, "true taxel")] if truth else []
     outline = f"-webkit-text-stroke:0.5px {theme.MUTED}"
     names = "".join(
-        f'<span><span style="color:rgb{color};{outline}">{sign}</span> {name}</span>'
+        f'<span style="white-space:nowrap"><span style="color:rgb{color};{outline}">{sign}</span> '
+        f"{name}</span>"
         for sign, color, name in marks
     )
     return (
         f'<div style="height:12px;border-radius:3px;background:linear-gradient(90deg,{stops})">'
         f'</div><div style="{spread}">{ticks}</div>'
         "<div>standard deviation of a taxel's position (mm)</div>"
-        f'<div style="{spread}">{names}</div>'
+        f'<div style="display:flex;flex-wrap:wrap;column-gap:1.1em">{names}</div>'
     )

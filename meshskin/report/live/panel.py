@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...estimation.calibration import Calibration
-from ...estimation.data.global_parameters import natural_units
+from ...estimation.data.global_parameters import natural_units, radius_deviation
 from ...estimation.online.status import DONE, KEEP_GOING
 from ...estimation.uncertainty.verdict import PASS
 from .. import theme
@@ -48,6 +48,8 @@ class Panel:
         """
         self.stage, self.drawing = stage, drawing
         self._nominal = stage.belief.material.effective_modulus
+        curvature = stage.belief.body.closest(stage.recording.points).curvature
+        self._radius_share = radius_deviation(stage.belief, curvature)
         self.row = 0
         self._history: list[tuple[float, float, float, float]] = []
         self._words = ("waiting for contacts", "")
@@ -63,7 +65,7 @@ class Panel:
                 "look at", (SKIN, ROBOT), initial_value=drawing.view, visible=bool(stage.carrier)
             )
             self.magnified = gui.add_slider(
-                "ellipsoids ×", min=1, max=100, step=1, initial_value=drawing.magnified
+                "ellipsoids ×", min=1, max=200, step=1, initial_value=drawing.magnified
             )
         highest = float(np.max(stage.recording.force, initial=1e-3))
         top = (0.0, 1.15 * highest)
@@ -90,7 +92,7 @@ class Panel:
         status, self.row = snapshot.status, snapshot.row
         self._words = (status.verdict, status.why)
         self.verdict.content = _verdict(*self._words, self._progress(snapshot))
-        self.numbers.content = _table(rows_of(snapshot, self._nominal))
+        self.numbers.content = _table(rows_of(snapshot, self._nominal, self._radius_share))
         self._show_force(snapshot.row)
         if np.isfinite([status.median_sigma, status.residual]).all():
             sigma = (MM * status.median_sigma, MM * status.worst_sigma)
@@ -124,10 +126,10 @@ class Panel:
         self.force.data = (time, np.asarray(recording.force[rows]))
 
 
-def rows_of(snapshot: Snapshot, modulus: float) -> list[tuple[str, str]]:
-    """The numbers of a snapshot in words: what, and its value. modulus: nominal E*, Pa."""
+def rows_of(snapshot: Snapshot, modulus: float, radius_share: float) -> list[tuple[str, str]]:
+    """The numbers of a snapshot in words: what, and its value. modulus: nominal E*, Pa;
+    radius_share: standard deviation of ln E* by that of the indenter's radius."""
     status, touch = snapshot.status, snapshot.status.next_touch
-
     rows = [
         ("taxels", f"{status.determined} determined, {status.weak} weak, {status.unseen} unseen"),
         ("sigma", f"median {_mm(status.median_sigma)}, worst {_mm(status.worst_sigma)}"),
@@ -138,8 +140,12 @@ def rows_of(snapshot: Snapshot, modulus: float) -> list[tuple[str, str]]:
     else:
         x, y, z = (f"{v:.1f}".replace("-", "−") for v in MM * touch.point)
         rows.append(("next touch", f"at ({x}, {y}, {z}) mm, for taxel {touch.taxel}"))
-    estimated = modulus * np.exp(status.unknowns.get("modulus", (0.0, 0.0))[0])
-    for name, (value, sigma, unit) in natural_units(status.unknowns, estimated).items():
+    unknowns = dict(status.unknowns)
+    if "modulus" in unknowns:
+        change, statistical = unknowns["modulus"]
+        unknowns["modulus"] = change, float(np.hypot(statistical, radius_share))
+        modulus *= float(np.exp(change))
+    for name, (value, sigma, unit) in natural_units(unknowns, modulus).items():
         scale, unit = UNITS.get(unit, (1.0, unit))
         label = "E*" if name == "modulus" else name
         rows.append((label, f"{scale * value:.4g} ± {scale * sigma:.2g} {unit}"))

@@ -34,8 +34,11 @@ ARC, HEIGHT = (x.ravel() for x in PITCH * np.mgrid[-3:4, -3:4])
 TRUTH, NORMALS = on_cylinder(ARC, HEIGHT)
 
 
-def recording(seed=0, line=4e-3, step=1.5e-3):
-    """Contacts on lines along the circumference, by turns in either direction."""
+def recording(seed=0, line=4e-3, step=1.5e-3, kept=0.0):
+    """Contacts on lines along the circumference, by turns in either direction.
+
+    kept: the part of the last reading that a low-pass filter keeps.
+    """
     rng = np.random.default_rng(seed)
     heights, arcs = np.arange(-0.022, 0.0221, line), np.arange(-0.022, 0.0221, step)
     at = np.array([(s, h) for k, h in enumerate(heights) for s in arcs[:: 1 - 2 * (k % 2)]])
@@ -50,6 +53,8 @@ def recording(seed=0, line=4e-3, step=1.5e-3):
     felt = on_cylinder(ARC[:, None] + disc.real, HEIGHT[:, None] + disc.imag)[0]
     distance = np.linalg.norm(felt - centre[:, None, None], axis=3)
     pressure = STIFFNESS * np.maximum(INDENTER - distance, 0).mean(axis=2)
+    for k in range(1, len(at)):
+        pressure[k] += kept * (pressure[k - 1] - pressure[k])
     noise = 0.01 * np.median(pressure.max(axis=0))
     pressure += noise * rng.standard_normal(pressure.shape)
     contact, taxel = np.nonzero(pressure > 3 * noise)
@@ -101,3 +106,15 @@ def test_the_ratio_of_the_semi_axes_is_learned(data):
     off = np.einsum("nji,nj->ni", found.poses[:, :3, :3], found.positions - TRUTH)[:, :2]
     inverse = np.linalg.inv(found.covariances[:, :2, :2])
     assert np.mean(np.einsum("ni,nij,nj->n", off, inverse, off)) < 2 + 3 * 2 / len(TRUTH) ** 0.5
+
+
+def test_a_low_pass_filter_is_estimated_and_is_no_delay(data):
+    made = recording(kept=0.5)
+    assert gather(made, belief()).delay == 0
+    found = ms.calibrate(made, belief())
+    error = np.sqrt(np.mean(np.sum((found.positions - TRUTH) ** 2, axis=1)))
+    assert error < 1.6 * 0.026e-3  # the stated deviation without a filter
+    assert 0.7 < np.sqrt(np.mean(found.position_sigma**2)) / error < 1.4
+    share, constant = (found.parameter_values[f"creep {x}"] for x in ("share", "time constant"))
+    assert abs(share[0] - 1) < 4 * share[1]
+    assert abs(constant[0] - 0.02 / np.log(2)) < 4 * constant[1]

@@ -15,9 +15,12 @@ def fitted(count, begin):
     moved = np.tile(np.eye(3), (count, 1)).reshape(count, 3, 3)[:, 0] * 1e5
     residual = np.where(np.arange(count) >= begin, 100.0, 0.0)
     return SimpleNamespace(
-        data=SimpleNamespace(points=np.zeros((count, 3))),
+        data=SimpleNamespace(points=np.zeros((count, 3)), reach=lambda: np.ones(count)),
+        rate=-residual,
+        curvature=np.ones(count),
         readings=SimpleNamespace(contact=np.arange(count)),
         moved=lambda directions: moved,
+        unexplained=lambda columns: (columns, columns),
         shared=lambda columns: (columns.T @ residual, columns.T @ columns),
     )
 

@@ -261,6 +261,18 @@ def test_a_body_mounted_anew_is_named_and_counted(noisy, log):
     assert np.median(sound.position_sigma) < 0.05e-3
 
 
+def test_errors_that_neighbouring_contacts_share_are_no_jump(noisy):
+    """Contact points 0.1 mm off along the surface, alike within 3 mm: taken as
+    independent errors of the readings they show a jump with a score of 10."""
+    log, rng = press(noisy, 2), np.random.default_rng(2)
+    waves, phase = rng.normal(size=(3, 3, 40)) / 3e-3, rng.uniform(0, 2 * np.pi, (3, 1, 40))
+    off = np.cos(np.einsum("mi,jik->jmk", log.points, waves) + phase).sum(axis=2).T / 20**0.5
+    off -= np.einsum("mi,mi->m", off, log.normals)[:, None] * log.normals
+    found = ms.calibrate(moved(log, 1e-4 * off), noisy.belief(contact="hertz"))
+    assert found.verdict.level == "DOUBT"
+    assert not any("a jump of the contacts" in words for words in found.verdict.reasons)
+
+
 def test_a_motion_points_where_the_contact_points_were_moved():
     """Points on a wavy sheet that are all moved by the same, as their distances from it show."""
     rng, moved = np.random.default_rng(0), np.array([0.3e-3, -0.2e-3, 0.5e-3])

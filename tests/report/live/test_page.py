@@ -143,17 +143,17 @@ def test_the_panel_says_verdict_and_end_in_words(page, snapshot):
 
 
 def test_numbers_have_units(snapshot):
-    rows = dict(rows_of(snapshot, 2e5))
+    rows = dict(rows_of(snapshot, 2e5, 0.03))
     assert rows["taxels"] == "78 determined, 1 weak, 1 unseen"
     assert rows["sigma"] == "median 0.0200 mm, worst 0.300 mm"
     assert rows["next touch"] == "at (0.0, 0.0, −100.0) mm, for taxel 7"
-    assert rows["E*"] == "400 ± 4 kPa"
+    assert rows["E*"] == "400 ± 13 kPa"  # 1 % by the readings, 3 % by the indenter's radius
 
 
 def test_what_only_priors_determine_and_what_moved_is_named(snapshot):
     nothing = {"median_sigma": np.nan, "worst_sigma": np.nan, "next_touch": None}
     words = {"undetermined": ("force_scale",), "moved": tuple(range(11))}
-    rows = dict(rows_of(replace(snapshot, status=status(**nothing, **words)), 2e5))
+    rows = dict(rows_of(replace(snapshot, status=status(**nothing, **words)), 2e5, 0.03))
     assert rows["sigma"] == "median –, worst –"
     assert rows["next touch"] == "none"
     assert rows["by priors only"] == "force_scale"
