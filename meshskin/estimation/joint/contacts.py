@@ -28,6 +28,7 @@ from .patch_derivatives import (
     SurfaceGradients,
     closest_on_paraboloids,
     loaded_patches,
+    stretched,
 )
 
 MAX_SIGMAS = 20.0
@@ -204,7 +205,7 @@ class LinearizedContacts:
         if "exponents" in at:
             patches = self._rescaled(patches, shape, log_peak, s[at["exponents"]])
         if "aspect" in at:
-            patches = self._stretched(patches, shape, s[at["aspect"]][0])
+            patches = stretched(patches, shape, s[at["aspect"]][0], at["aspect"].start)
         return Contacts(
             data.points, data.normals, data.directions, patches, shape, log_peak, None, s,
             profile=s[at["profile"]] if "profile" in at else np.empty(0), compression=compression,
@@ -230,17 +231,6 @@ class LinearizedContacts:
             second=patches.second * grown,
             peak=patches.peak * np.exp(log_peak[:, columns] @ exponents),
         )
-
-    def _stretched(self, patches: Patches, shape: tuple[Array, ...], aspect: float) -> Patches:
-        """The patches, of the same area, with the logarithm of the semi-axes' ratio 1 + aspect
-        times theirs; writes the derivatives."""
-        half = np.log(patches.first / patches.second) / 2
-        change = aspect / 2 * (shape[0] - shape[1])
-        for sign, slope in zip((1.0, -1.0), shape[:2], strict=True):
-            slope += sign * change
-            slope[:, self.parameters.columns["aspect"].start] = sign * half
-        stretch = np.exp(aspect * half)
-        return patches._replace(first=patches.first * stretch, second=patches.second / stretch)
 
     def _moved(self, fixed: Contacts, s: Array) -> Contacts:
         """The contacts where s (ks,) puts them, from where they were linearized."""

@@ -96,6 +96,18 @@ def _layer_kernel(poisson: float, half_space: bool) -> ColumnFunction:
     return ColumnFunction("layer", x, ca.vertcat(sizes, patch.exponent, slope))
 
 
+def stretched(patches: Patches, shape: tuple[Array, ...], aspect: float, column: int) -> Patches:
+    """The patches, of the same area, with the logarithm of the semi-axes' ratio 1 + aspect times
+    theirs; rewrites the derivatives (m, ks) of ln a and ln b, with those in the aspect's column."""
+    half = np.log(patches.first / patches.second) / 2
+    change = aspect / 2 * (shape[0] - shape[1])
+    for sign, slope in zip((1.0, -1.0), shape[:2], strict=True):
+        slope += sign * change
+        slope[:, column] = sign * half
+    stretch = np.exp(aspect * half)
+    return patches._replace(first=patches.first * stretch, second=patches.second / stretch)
+
+
 @dataclass(frozen=True)
 class SurfaceGradients:
     """Gradients of m patches over the surface, at constant force and E*; tangent vectors."""
