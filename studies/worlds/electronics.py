@@ -118,8 +118,8 @@ class Sensors:
         reading = e.response(self.gains * pressure, self.peak)
         if e.second:
             size, alternating = e.second
-            module = np.arange(self.count) // size
-            other = module % 2 == 1 if alternating else module > module[-1] // 2
+            group = np.arange(self.count) // size
+            other = group % 2 == 1 if alternating else group > group[-1] // 2
             saturated = replace(e, saturating=True).response(self.gains * pressure, self.peak)
             reading = np.where(other, saturated, reading)
         rise = np.linspace(0.0, 1.0, len(pressure))[:, None]
