@@ -1,10 +1,10 @@
 """`meshskin calibrate RECORDING --out DIR`: calibrate a skin from a recorded log.
 
-RECORDING is the common prefix of the names of a recording's files, or a folder with contacts.csv
-(columns time, px, py, pz, force; also qw, qx, qy, qz if the indenter's offset is unknown; one row
-per frame in contact, contact points in the body frame) and readings.csv (columns time, taxel,
-pressure; for raw readings, with --raw, reading or count in place of pressure). Columns are in SI
-units or name their unit: px_mm, pressure_kpa, time_ms.
+RECORDING is the folder of a run, the common prefix of the names of a recording's files, or a folder
+with contacts.csv (columns time, px, py, pz, force; also qw, qx, qy, qz if the indenter's offset is
+unknown; one row per frame in contact, contact points in the body frame) and readings.csv (columns
+time, taxel, pressure; for raw readings, with --raw, reading or count in place of pressure). Columns
+are in SI units or name their unit: px_mm, pressure_kpa, time_ms.
 
 With --map, RECORDING is a robot's own log: with --indenter-mm its contacts follow from joint
 angles, else from the streams that the map names.

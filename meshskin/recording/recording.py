@@ -27,7 +27,7 @@ from ..core.errors import RecordingError
 from ..core.notebook import Card, data_frame
 from ..core.value import Value
 from . import csv_log
-from .recording_files import RecordingWriter, part_path, read_table
+from .recording_files import RecordingWriter, common_part, part_path, read_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -256,16 +256,19 @@ class Recording(Value, Card):
 
     @classmethod
     def load(cls, path: str | Path) -> Recording:
-        """Read the recording at `path` (the common part of its file names), memory-mapped.
+        """Read the recording at `path`, memory-mapped.
 
-        CSV logs are read, too: from the folder that holds contacts.csv and readings.csv, or by the
-        common part of PATH.contacts.csv and PATH.readings.csv; the metadata {"readings": "raw"}
-        says that the readings have a unit of their own. Raises RecordingError if a table is
-        missing, damaged, or belongs to another recording.
+        `path` is the common part of its file names, one of these files, or the folder of a run,
+        which holds them as `recording`. CSV logs are read, too: from the folder that holds
+        contacts.csv and readings.csv, or by the common part of PATH.contacts.csv and
+        PATH.readings.csv; the metadata {"readings": "raw"} says that the readings have a unit of
+        their own. Raises RecordingError if a table is missing, damaged, or belongs to another
+        recording.
         """
         if not isinstance(path, str | os.PathLike):
             raise RecordingError("a recording is loaded by its path", value=repr_short(path))
-        if not part_path(path, "contacts").exists() and (files := csv_log.find(Path(path))):
+        path = common_part(Path(path))
+        if not part_path(path, "contacts").exists() and (files := csv_log.find(path)):
             contacts, readings = (csv_log.read(*each) for each in zip(files, _PARTS, strict=False))
             for name in ("nx", "ny", "nz"):
                 if name not in contacts.column_names:

@@ -25,6 +25,14 @@ def part_path(path: str | Path, part: str) -> Path:
     return path.with_name(f"{path.name}.{part}.parquet")
 
 
+def common_part(path: Path) -> Path:
+    """The common part of a recording's file names, from one of its files or its run's folder."""
+    if path.name.endswith((".contacts.parquet", ".readings.parquet", ".motion.parquet")):
+        return path.with_suffix("").with_suffix("")
+    in_folder = path / "recording"
+    return in_folder if part_path(in_folder, "contacts").exists() else path
+
+
 def read_table(file: Path) -> tuple[pa.Table, dict[str, Any]]:
     """A table of a recording, memory-mapped, and its metadata. Raises RecordingError."""
     try:

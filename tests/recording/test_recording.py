@@ -31,6 +31,13 @@ def test_round_trip(tmp_path):
     assert back.points.shape == (3, 3)
 
 
+@pytest.mark.parametrize("path", [".", "recording.readings.parquet", "recording"])
+def test_a_run_s_folder_and_each_of_the_files_name_the_recording(tmp_path, path):
+    recording = Recording(*tables(), {})
+    recording.save(tmp_path / "recording")
+    assert Recording.load(tmp_path / path).contacts.equals(recording.contacts)
+
+
 def test_streaming_equals_saving_at_once(tmp_path):
     contacts, readings = tables()
     with RecordingWriter(tmp_path / "s", {"scene": "x"}) as writer:
