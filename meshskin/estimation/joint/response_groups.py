@@ -48,19 +48,30 @@ def response_groups(fitted: FittedReadings, ids: np.ndarray, slots: int | None) 
     seen = np.flatnonzero(information > 1e-6 * max(float(np.max(information, initial=0.0)), 1e-300))
     ids, slope, information = ids[seen], slope[seen], information[seen]
     best = ResponseGroups()
-    for words, group in _groupings(ids, (slots,) if slots else MODULE_SIZES):
+    halves = _halves(ids, slope, information)
+    for words, group in (*halves, *_modules(ids, (slots,) if slots else MODULE_SIZES)):
         score, which = _score(slope, information, group)
         if score > best.score:
             best = ResponseGroups(score, words.format(which, which + 1))
     return best
 
 
-def _groupings(ids: np.ndarray, sizes: tuple[int, ...]) -> Iterator[tuple[str, np.ndarray]]:
-    """Groups (n,) of taxels, numbers from 0, -1 of those that are not compared; with words for one
-    of them."""
-    order = np.sort(ids)
-    for k in range(MIN_TAXELS, len(ids) - MIN_TAXELS + 1):
-        yield f"the taxels from id {order[k]} on", (ids >= order[k]).astype(int)
+def _halves(ids: np.ndarray, slope: Array, information: Array) -> list[tuple[str, np.ndarray]]:
+    """The taxels from an id on as group 1 of 2, by the id that parts them best; with words for it;
+    none of too few taxels."""
+    order = np.argsort(ids)
+    first = np.arange(MIN_TAXELS, len(ids) - MIN_TAXELS + 1)
+    if len(first) == 0:
+        return []
+    before, total = (np.cumsum(a[order])[first - 1] for a in (slope, information))
+    apart = before - total * (slope.sum() / information.sum())
+    begin = ids[order][first[np.argmax(apart**2 / (total * (information.sum() - total)))]]
+    return [(f"the taxels from id {begin} on", (ids >= begin).astype(int))]
+
+
+def _modules(ids: np.ndarray, sizes: tuple[int, ...]) -> Iterator[tuple[str, np.ndarray]]:
+    """Groups (n,) of taxels by module of each size, numbers from 0, -1 of those that are not
+    compared; with words for one of them."""
     for size in sizes:
         module = ids // size
         _, inverse, count = np.unique(module, return_inverse=True, return_counts=True)
