@@ -64,9 +64,6 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         )
     read = used[recording.reading_contact] & (pressure > 0)
     corrupt = unit_checks.corrupt_readings(pressure, index)
-    touched = np.flatnonzero(used[recording.reading_contact] & np.isfinite(recording.pressure))
-    at = recording.points[recording.reading_contact[touched]]
-    corrupt[touched] |= unit_checks.stuck_readings(recording.pressure[touched], index[touched], at)
     read &= ~corrupt
     _require_readings(read, recording, used)
     if belief.readings != RAW:
@@ -97,6 +94,10 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         pressure, belief = pressure.copy(), replace(belief, threshold=threshold)
         pressure[read] = level
     read &= pressure > belief.threshold
+    reach = float(np.median(patches.first)) + belief.disc_radius
+    at = recording.points[recording.reading_contact[read]]
+    corrupt[read] = unit_checks.stuck_readings(pressure[read], index[read], at, reach)
+    read &= ~corrupt
     _require_readings(read, recording, used)
     peak, n = float(np.median(patches.peak)), len(belief.taxel_ids)
     motion = belief.contact_motion and belief.contact_motion.take(used)
