@@ -42,6 +42,14 @@ def robust_sigma(values: Array) -> float:
     return float(np.median(np.abs(values))) / MAD
 
 
+def spread_rows(values: Array, rows: Index, count: int, missing: object) -> Array:
+    """An array (count, ...) with the `values` (k, ...) at the `rows` (k,), elsewhere `missing`."""
+    out = np.empty((count, *values.shape[1:]))
+    out[:] = missing
+    out[rows] = values
+    return out
+
+
 def ranges(first: Index, count: Index) -> Index:
     """The integers first[k], ..., first[k] + count[k] - 1 of every k, concatenated."""
     return np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum())

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.arrays import Array
+from ...core.arrays import Array, spread_rows
 from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
 from ...core.progress import Stage
@@ -27,10 +27,11 @@ from ..result import (
     CENSORING,
     MISFITTING,
     MOSTLY_OUTLIERS,
-    RIVAL,
     SHARED_ERRORS,
     SURFACE,
     EstimatorResult,
+    join_words,
+    name_rivals,
 )
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
@@ -96,13 +97,11 @@ def estimate(
         stage.expect(USUAL_STEPS)
         return estimate(noisy, start, iterations, tolerance, trilaterated, stage)
     stuck, live, rivals = stuck_taxels(data), estimator.live, resolve_rivals(estimator)
-    distances = np.linalg.norm(rivals.points - estimator.problem.points(estimator.state), axis=1)
-    for k in np.flatnonzero(np.isfinite(distances)):
-        words = (estimator.faults[live[k]], RIVAL.format(1e3 * distances[k]))
-        estimator.faults[live[k]] = ", ".join(filter(None, words))
+    points = estimator.problem.points(estimator.state)
+    name_rivals(estimator.faults, live, points, rivals.points)
     for row, count in zip(*np.unique(data.corrupt[:, 1], return_counts=True), strict=True):
         left_out = f"{count} corrupt, stuck or negative readings left out"
-        estimator.faults[row] = ", ".join(filter(None, (estimator.faults[row], left_out)))
+        estimator.faults[row] = join_words(estimator.faults[row], left_out)
     for row, level in zip(stuck.rows, stuck.level, strict=True):
         estimator.faults[row] = f"stuck at {level / 1e3:.3g} kPa"
     if estimator.unconverged.all():
@@ -192,10 +191,7 @@ def _result(
         jump, errors = jump_of(estimator, fitted), shared_errors(fitted)
 
     def spread(values: Array, missing: object) -> Array:
-        out = np.empty((len(data.ids), *values.shape[1:]))
-        out[:] = missing
-        out[estimator.live] = values
-        return out
+        return spread_rows(values, estimator.live, len(data.ids), missing)
 
     def dropped(covariance: Array) -> Array:
         infinite = np.diag([np.inf] * covariance.shape[1])
@@ -217,9 +213,8 @@ def _result(
     else:
         pose_covariances, surface = None, (SURFACE,)
         apart = np.nan_to_num(rivals.points - parametrization.points())
-        apart = np.einsum("kij,ki->kj", parametrization.rotations()[:, :, :2], apart)
         tangential = widened(estimator, scale * covariance[:, :2, :2], scale)
-        tangential += apart[:, :, None] * apart[:, None, :]
+        tangential += chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
         if fit.good is False:
             tangential += _model_dependence(estimator, fit)
         elif fitted and errors and (added := errors.covariances(fitted)).any():
@@ -300,8 +295,8 @@ def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:
     parametrization = estimator.problem.parametrization
     means = trilaterate.centroids(estimator.data)[estimator.live]
     apart = np.nan_to_num(means - parametrization.points())
-    apart = np.einsum("kij,ki->kj", parametrization.rotations()[:, :, :2], apart)
-    return np.asarray((1 - 1 / fit.reduced) * apart[:, :, None] * apart[:, None, :])
+    square = chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
+    return np.asarray((1 - 1 / fit.reduced) * square)
 
 
 def _scale_and_fit(

@@ -16,6 +16,7 @@ import numpy as np
 
 from ...core import se3
 from ...core.arrays import Array, sums_by_group
+from ..chart import tangential_square
 from ..data import delay
 from ..data.registration import CELL, MIN_SCATTER
 from ..trilateration.displacements import surface_motion
@@ -57,20 +58,17 @@ def systematic_covariance(
     # readings do not show an offset along the normals: where it explains no distance, it is none
     if np.sum(moved_hit.distance**2) < np.sum(hit.distance**2):
         points, hit = moved, moved_hit
-    tangents = rotations[:, :, :2]
-    sideways = motion(data, points, hit.distance, hit.normal).squares(_middles(data))
+    tangents, middles = rotations[:, :, :2], _middles(data)
+    sideways = motion(data, points, hit.distance, hit.normal).squares(middles)
     tangential = np.swapaxes(tangents, 1, 2) @ sideways @ tangents
     if jump is not None:
-        apart = np.einsum("nia,i->na", tangents, jump)
-        tangential += apart[:, :, None] * apart[:, None, :]
+        tangential += tangential_square(tangents, np.broadcast_to(jump, middles.shape))
     if data.belief.surface_sigma > 0.0:
-        wider = data.belief.surface_sigma * _growth(data, _middles(data))
-        apart = np.einsum("nia,ni->na", tangents, wider)
-        tangential += apart[:, :, None] * apart[:, None, :]
+        wider = data.belief.surface_sigma * _growth(data, middles)
+        tangential += tangential_square(tangents, wider)
     tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
     if data.parameters.motion is not None:
-        tilted = np.einsum("nia,ni->na", tangents, tilts(data, hit.point, hit.distance))
-        tangential += tilted[:, :, None] * tilted[:, None, :]
+        tangential += tangential_square(tangents, tilts(data, hit.point, hit.distance))
     into = surface_motion(shape)
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
     out[:, 2, 2] += _normal_variance(data, hit.distance) + data.belief.surface_sigma**2

@@ -59,7 +59,7 @@ def test_a_taxel_touched_along_a_line_has_a_rival_at_its_mirror_image(line):
 
 
 def test_the_likelier_of_two_optima_is_the_estimate(line):
-    """The odds change sign where the taxel starts from the other optimum, and bring it back."""
+    """The odds are the difference of the costs at both optima, from whichever it starts."""
     scene, calibration, far = line
     data = gather(strip_recording(scene, far), scene.belief())
     live = np.flatnonzero(np.isfinite(calibration.positions[:, 0]))
@@ -67,14 +67,18 @@ def test_the_likelier_of_two_optima_is_the_estimate(line):
     charts = charts_at(data.body, places, calibration.poses[live, :3, :3])
     parametrization = SurfaceParametrization(charts, float(np.median(data.radii)) / 2)
     estimator = JointEstimator(data, live, parametrization, np.ones(len(data.pressure)), 30)
-    estimator.converge()
-    here = find_rivals(estimator)
-    assert here.log_odds[row] > 0.5
-    places[row] = here.points[row]
-    estimator.start_at(places, select_anew=True)
-    estimator.converge()
-    assert find_rivals(estimator).log_odds[row] == pytest.approx(-here.log_odds[row], rel=0.1)
-    assert resolve_rivals(estimator).log_odds[row] > 0.5
+    odds, costs = [], []
+    for _ in range(2):
+        estimator.converge()
+        rivals = find_rivals(estimator)
+        odds.append(rivals.log_odds[row])
+        costs.append(estimator.state.moments.cost[row])
+        places[row] = rivals.points[row]
+        estimator.start_at(places, select_anew=True)
+    difference = costs[1] - costs[0]
+    assert odds == pytest.approx([difference, -difference], rel=0.1)
+    assert resolve_rivals(estimator).log_odds[row] == pytest.approx(abs(difference), rel=0.1)
+    assert estimator.state.moments.cost[row] == pytest.approx(min(costs), rel=0.01)
 
 
 def test_no_taxel_is_confidently_wrong(line):
