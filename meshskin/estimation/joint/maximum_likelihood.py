@@ -206,12 +206,14 @@ def _result(
     scale, fit = _scale_and_fit(estimator, reduced)
     unit = 1.0 if data.noise is not None and not data.noise_pairs else scale
     information, gains = problem.information(state)
+    pose_covariances: Array | None = None
+    factors = _factors(data, fit)
     if isinstance(parametrization, ModuleParametrization):
         six = scale * parametrization.covariances(covariance[:, :6, :6])
         tangential, pose_covariances = six[:, :2, :2], dropped(six)
-        surface: tuple[str, ...] = (MODULES, MODULE_SURFACE)
+        factors += [MODULES, MODULE_SURFACE]
     else:
-        pose_covariances, surface = None, (SURFACE,)
+        factors.append(SURFACE)
         apart = np.nan_to_num(rivals.points - parametrization.points())
         tangential = widened(estimator, scale * covariance[:, :2, :2], scale)
         tangential += chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
@@ -219,20 +221,10 @@ def _result(
             tangential += _model_dependence(estimator, fit)
         elif fitted and errors and (added := errors.covariances(fitted)).any():
             tangential += added
-            surface += (SHARED_ERRORS.format(errors.where),)
+            factors.append(SHARED_ERRORS.format(errors.where))
     if parameters.nuisance_names != declared.parameters.nuisance_names:
-        surface += (UNDECLARED_GAINS,)
-    silent: tuple[str, ...] = (CENSORING,) if data.noise is not None else ()
-    if data.noise_pairs:
-        silent += (ESTIMATED_NOISE.format(data.noise, data.noise_pairs),)
-    if fit.good is False:
-        silent += (WIDENED.format(fit.reduced**0.5),)
-    if data.left_out:
-        silent += (f"without {data.left_out} contacts in which the contact model does not hold",)
-    if data.strays:
-        silent += (f"without {data.strays} contacts that are not on the believed surface",)
-    if len(data.misfitting):
-        silent += (MISFITTING.format(len(data.misfitting)),)
+        factors.append(UNDECLARED_GAINS)
+    factors += parameters.describe_priors()
     sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
     groups = np.arange(parametrization.count)
     units = [1.0 if name == "gain" else data.sigma for name in parameters.nuisance_names]
@@ -242,12 +234,10 @@ def _result(
     modulus = data.modulus * float(np.exp(parameters.value("modulus", state.s)))
     modulus_sigma: float | None = None
     if "modulus" in parameters.names:
-        modulus_sigma = modulus * float(
-            np.hypot(
-                global_sigma[parameters.columns["modulus"]][0],
-                radius_deviation(data.belief, data.curvature),
-            )
-        )
+        own = global_sigma[parameters.columns["modulus"]][0]
+        by_radius = radius_deviation(data.belief, data.curvature)
+        modulus_sigma = modulus * float(np.hypot(own, by_radius))
+        factors.append(RADIUS.format(RADIUS_TOLERANCE))
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, parametrization.points()), np.nan),
         rotations=spread(parametrization.rotations(), np.nan),
@@ -255,13 +245,7 @@ def _result(
         pose_covariances=pose_covariances,
         chi2=spread(estimator.chi2 / unit, np.nan),
         reasons=reasons,
-        factors=(
-            "pressure of each reading",
-            *silent,
-            *surface,
-            *parameters.describe_priors(),
-            *((RADIUS.format(RADIUS_TOLERANCE),) if modulus_sigma is not None else ()),
-        ),
+        factors=tuple(factors),
         modulus=modulus,
         modulus_sigma=modulus_sigma,
         unknowns=parameters.named(state.s, scale * global_covariance),
@@ -284,6 +268,24 @@ def _result(
         restarted=estimator.live[restarted],
         seconds=estimator.seconds,
     )
+
+
+def _factors(data: Measurements, fit: GoodnessOfFit) -> list[str]:
+    """What the readings and the contacts that are used have in the estimate, in words."""
+    factors = ["pressure of each reading"]
+    if data.noise is not None:
+        factors.append(CENSORING)
+    if data.noise_pairs:
+        factors.append(ESTIMATED_NOISE.format(data.noise, data.noise_pairs))
+    if fit.good is False:
+        factors.append(WIDENED.format(fit.reduced**0.5))
+    if data.left_out:
+        factors.append(f"without {data.left_out} contacts in which the contact model does not hold")
+    if data.strays:
+        factors.append(f"without {data.strays} contacts that are not on the believed surface")
+    if len(data.misfitting):
+        factors.append(MISFITTING.format(len(data.misfitting)))
+    return factors
 
 
 def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:
