@@ -9,7 +9,7 @@ the readings displaces a taxel: the path of the contact points does.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -255,7 +255,8 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
 
     It is none where it does not explain the distances (m,), m, and where a body of another size,
     scaled or offset along its normals, explains them better: its taxels are where the contacts are.
-    One with turn and scale must leave a tenth of what the simpler ones leave.
+    One with turn and scale must leave a tenth of what the simpler ones leave, and the moved points
+    must lie as near: a large one on a small part of the body fits its dents to first order only.
     """
     shift = displacement(distance, normals)
 
@@ -273,10 +274,12 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     corners = points if facets is None else facets.vertices
     bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
     found = Motion.explaining(bounds, points, distance, normals)
-    if sum(left(distance - np.sum(normals * found.at(points), axis=1))) < MAX_LEFT * simple:
-        return found
+    moved = data.body.closest(points - found.at(points))  # far motions are not linear
+    after = sum(left(moved.distance))
     moves = squares[0] < min(squares[1:]) and simple <= MAX_LEFT * whole + scatter
-    return found if moves else Motion.none(points)
+    if after < MAX_LEFT * simple or (moves and after <= MAX_LEFT * whole + scatter):
+        return found
+    return replace(Motion.none(points), shift=shift) if moves else Motion.none(points)
 
 
 def offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> Array:
