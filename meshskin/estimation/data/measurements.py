@@ -12,7 +12,7 @@ from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
-from .patch_shape import over_patches
+from .patch_shape import over_patches, unevenness
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -250,6 +250,14 @@ class Measurements:
     def drifts(self) -> Array:
         """Legendre polynomials (m, DRIFT_SIZE) of the time, from the first degree on."""
         return np.asarray(np.polynomial.legendre.legvander(2 * self.phase - 1, DRIFT_SIZE)[:, 1:])
+
+    @cached_property
+    def uneven(self) -> Array:
+        """Pressures (m,), in units of sigma, by which those of a contact may differ from the
+        model's, for no quadric describes the body within its patch."""
+        hit = self.body.closest(self.points)
+        hit = replace(hit, curvature=self.curvature, direction=self.directions)
+        return unevenness(self.belief, hit, self.force) * self.peaks / self.sigma
 
     @cached_property
     def counts(self) -> np.ndarray:

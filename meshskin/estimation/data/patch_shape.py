@@ -21,6 +21,9 @@ MAX_HOLLOWS = 0.05
 a few; more are a body that the indenter does not fit."""
 HOLLOW = 0.9
 """Curvature, relative to the indenter's, that hollows tighter than it are believed to have."""
+RIM = 2.0
+"""Radius, in that of the typical patch, at which the body is compared with quadrics: a layer's
+patches and those of a softer skin than believed are that wide."""
 SPOKES = 6
 """Points on each of the two rings over a patch: with its middle 13 heights for the 6 terms of a
 quadric."""
@@ -54,30 +57,54 @@ GRAZING = 1e-6
 far above rounding."""
 
 
+def unevenness(belief: Belief, hit: Closest, force: Array) -> Array:
+    """Heights (m,), rms, by which the body departs from the quadrics of the contacts `hit` at RIM
+    of the typical patch of the forces (n,), N, relative to the depth of a ball's impression there.
+
+    Where the body has an edge within a patch no quadric describes it: pressures there differ from
+    those of any contact model by about this part of the peak, which is what a thin layer's do.
+    """
+    size = RIM * _typical_radius(belief, force)
+    rim = PLACES[1 + SPOKES :] * size
+    across = np.cross(hit.normal, hit.direction)
+    basis = np.stack([hit.direction, across, hit.normal], axis=2)
+    quadric = 0.5 * np.einsum("mc,pc->mp", hit.curvature, rim**2)
+    apart = _heights(belief.body, hit, basis, rim) - quadric
+    return np.asarray(np.sqrt(np.mean(apart**2, axis=1)) * belief.indenter.radius / size**2)
+
+
 def over_patches(belief: Belief, hit: Closest, force: Array) -> Closest:
     """The contacts `hit` (m) with the principal curvatures of the body over their patches, as large
     as those of the typical one of the forces (n,), N, and with none that the indenter does not fit.
     """
-    pressed = force[force > 0]
-    if not len(hit.point) or not len(pressed):
+    if not len(hit.point) or not np.any(force > 0):
         return hit
-    radius = belief.indenter.radius
-    load = float(np.median(pressed)) * radius / belief.material.effective_modulus
-    shaped = _curved(belief.body, hit, (0.75 * load) ** (1 / 3))  # Hertz, on a plane
-    return without_hollows(shaped, radius)
+    shaped = _curved(belief.body, hit, _typical_radius(belief, force))
+    return without_hollows(shaped, belief.indenter.radius)
+
+
+def _typical_radius(belief: Belief, force: Array) -> float:
+    """Radius, m, of Hertz' patch on a plane under the median of the positive forces (n,), N."""
+    load = float(np.median(force[force > 0])) * belief.indenter.radius
+    return float((0.75 * load / belief.material.effective_modulus) ** (1 / 3))
+
+
+def _heights(body: Body, hit: Closest, basis: Array, places: Array) -> Array:
+    """Heights (m, p), m, of places (p, 2), m, in the tangent planes of the points `hit` above the
+    surface; basis (m, 3, 3): tangents and normal as columns."""
+    at = hit.point[:, None] + np.einsum("mck,pk->mpc", basis[:, :, :2], places)
+    at = at.reshape(-1, 3)
+    above = body.surface.nearest(at, np.repeat(hit.face, len(places)))
+    apart, up = np.abs(above.distance), np.einsum("ij,ij->i", at - above.point, above.normal)
+    # over an edge of the body the normal there is that of one of its faces
+    return np.where(up < -GRAZING * apart, -apart, apart).reshape(len(basis), -1)
 
 
 def _curved(body: Body, hit: Closest, size: float) -> Closest:
     """The points `hit` with the curvatures and directions of quadrics through the surface within
     `size`, m, of them."""
     basis = orthonormal_basis(hit.normal)
-    places = hit.point[:, None] + size * np.einsum("mck,pk->mpc", basis[:, :, :2], PLACES)
-    places = places.reshape(-1, 3)
-    above = body.surface.nearest(places, np.repeat(hit.face, len(PLACES)))
-    apart, up = np.abs(above.distance), np.einsum("ij,ij->i", places - above.point, above.normal)
-    # over an edge of the body the normal there is that of one of its faces
-    height = np.where(up < -GRAZING * apart, -apart, apart)
-    terms = height.reshape(len(basis), -1) @ QUADRIC.T / size**2
+    terms = _heights(body, hit, basis, size * PLACES) @ QUADRIC.T / size**2
     second = np.stack([terms[:, [3, 4]], terms[:, [4, 5]]], axis=1)
     value, vector = np.linalg.eigh(second)
     along = np.einsum("mck,mk->mc", basis[:, :, :2], vector[:, :, 1])

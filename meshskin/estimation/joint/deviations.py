@@ -25,6 +25,8 @@ MIN_FREEDOM = 0.05
 """Least mean degrees of freedom of a residual: with fewer the noise is not known."""
 NOISE_ITERATIONS = 20
 """Largest number of weighted fits of the noise's two parts; three are usual."""
+SHAPE_READINGS = 4.0
+"""Readings in uneven contacts that the belief about them counts as."""
 SMALL_GAIN = 0.05
 """Expected increase of the restricted likelihood below which a variance stays: it is within a third
 of its standard error, and where it moved on, the unknowns that follow it would never come to rest.
@@ -66,6 +68,8 @@ class Deviations:
     """Constant part of a reading's noise, in units of `Measurements.sigma`."""
     relative: float = 0.0
     """Part of the noise proportional to the reading."""
+    shape: float = 1.0
+    """Part of `Measurements.uneven` that the readings show."""
     position: float = 1e-4
     """Of a contact's displacement along each tangent, m."""
     force: float = 0.02
@@ -79,10 +83,11 @@ class Deviations:
     drift: float = 1.0
     """Of the offset's drift over the recording, in units of `Measurements.sigma`."""
 
-    def noise_of(self, mu: Array) -> Array:
-        """Standard deviation (k,) of readings with the expectations mu (k,), both in units of
-        `Measurements.sigma`."""
-        return np.asarray(np.hypot(self.noise, self.relative * np.maximum(mu, 0.0)))
+    def noise_of(self, mu: Array, uneven: Array | float = 0.0) -> Array:
+        """Standard deviation (k,) of readings with the expectations mu (k,), in contacts with
+        `Measurements.uneven` (k,), all in units of `Measurements.sigma`."""
+        noise = np.hypot(self.noise, self.relative * np.maximum(mu, 0.0))
+        return np.asarray(np.hypot(noise, self.shape * np.asarray(uneven)))
 
     def moved(self, effects: dict[str, Effects], careful: bool = False) -> tuple[Deviations, float]:
         """The deviations after a step of Fisher scoring, and the largest expected increase of the
@@ -98,28 +103,50 @@ class Deviations:
             largest = max(largest, gain if found[name] > FLOOR[name] else 0.0)
         return replace(self, **found), largest
 
-    def with_noise(self, mu: Array, squares: Array, free: Array, parts: int) -> Deviations:
-        """The deviations with the constant part of the noise, or both `parts`, as squared residuals
-        (k,) of readings with the expectations mu (k,) have it.
+    def with_noise(
+        self, mu: Array, uneven: Array, squares: Array, free: Array, parts: int
+    ) -> Deviations:
+        """The deviations with the constant part of the noise, or both `parts`, and that of the
+        shape, as squared residuals (k,) of readings have it; mu and uneven (k,) as of `noise_of`.
 
         free (k,): 1 less the leverage, the part of a reading's variance that its residual has.
+        The belief that uneven patches read as their heights counts as SHAPE_READINGS readings.
         """
         free = free * max(1.0, MIN_FREEDOM / max(float(np.mean(free)), 1e-300))
-        part = np.column_stack([np.ones(len(mu)), np.maximum(mu, 0.0) ** 2])[:, :parts]
-        variance = np.array([self.noise**2, self.relative**2])[:parts]
+        part = np.column_stack([np.ones(len(mu)), np.maximum(mu, 0.0) ** 2, uneven**2])
+        used = np.array([True, parts > 1, bool(np.any(uneven > 0))])
+        variance = np.where(used, [self.noise**2, self.relative**2, self.shape**2], 0.0)
+        typical = float(np.sum(uneven**4) / max(np.sum(uneven**2), 1e-300))
+        believed = np.array([[1.0, 0.0, typical]])
+        part, free = np.concatenate([part, believed]), np.append(free, 1.0)
+        count = np.append(np.ones(len(mu)), SHAPE_READINGS if used[2] else 0.0)
         for _ in range(NOISE_ITERATIONS):
-            weighted = part / np.maximum(part @ variance, 1e-12)[:, None] ** 2
-            normal, right = weighted.T @ (part * free[:, None]), weighted.T @ squares
-            new = np.linalg.lstsq(normal, right, rcond=None)[0]
-            for k in np.flatnonzero(new <= 0):  # not both: the squares are positive
-                new = np.where(np.arange(parts) == k, 0.0, right / np.diag(normal))
+            expected = np.append(squares, variance[0] + typical)
+            weighted = part * (count / np.maximum(part @ variance, 1e-12) ** 2)[:, None]
+            new = _positive_solution(
+                weighted.T @ (part * free[:, None]), weighted.T @ expected, used
+            )
             new[0] = max(new[0], MIN_SCALE**2)
             close = np.allclose(new, variance, rtol=1e-3)
             variance = new
             if close:
                 break
-        names = ("noise", "relative")[:parts]
-        return replace(self, **dict(zip(names, map(float, np.sqrt(variance)), strict=True)))
+        found = dict(zip(("noise", "relative", "shape"), np.sqrt(variance), strict=True))
+        return replace(self, **{name: float(found[name]) for name in np.array([*found])[used]})
+
+
+def _positive_solution(normal: Array, right: Array, used: np.ndarray) -> Array:
+    """Solution (p,) of normal equations in the terms `used` (p,) bool that are positive: the most
+    negative one is left out, again and again."""
+    terms = np.flatnonzero(used)
+    while True:
+        found = np.linalg.lstsq(normal[np.ix_(terms, terms)], right[terms], rcond=None)[0]
+        if len(terms) == 1 or found.min() > 0:
+            break
+        terms = np.delete(terms, np.argmin(found))
+    out = np.zeros(len(right))
+    out[terms] = found
+    return out
 
 
 def log_step(effects: Effects, careful: bool = False) -> tuple[float, float]:

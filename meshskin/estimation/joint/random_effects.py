@@ -90,7 +90,7 @@ class RandomEffects:
         self.likelihood = Likelihood(data, readings)
         self.pattern = pattern or CouplingPattern(readings, len(data.points))
         self.selected: tuple[Readings, CouplingPattern | None] = readings, self.pattern
-        """All readings, those that are left out on the way, too, and their pattern while in use."""
+        """All readings, also those left out on the way, and their pattern while in use."""
         self.size = 2 + unknowns.nuisance.shape[1]
         """Unknowns of a taxel: two coordinates in its chart, ln gain, offset, and drift if any."""
         self.probes = Probes(readings, len(data.points), self.size)
@@ -103,11 +103,12 @@ class RandomEffects:
         """Where steps left a curved valley, the cost there, and its rise; None if none did."""
         self.noise_known = data.belief.noise_sigma is not None
         self.mu, self.leverages, self.spread = np.empty(k), np.zeros(k), np.ones(k)
+        self.uneven = data.uneven[readings.contact]
         self.jacobian = np.empty((k, self.size + len(unknowns.s) + CONTACT_SIZE))
         self.lag, self.rests_on = np.zeros((k, CONTACT_SIZE)), readings.contact
         self._made, self._made_at = dict[str, Any](), (unknowns, deviations, self.mu)
         self.move(unknowns)
-        self.spread = self.deviations.noise_of(self.mu)
+        self.spread = self.deviations.noise_of(self.mu, self.uneven)
 
     def _leave_out_certain_silences(self) -> None:
         """Leave out silent readings that do not inform, where no reading depends on others."""
@@ -119,15 +120,14 @@ class RandomEffects:
         self.likelihood = Likelihood(self.data, readings)
         self.pattern = CouplingPattern(readings, len(self.data.points))
         self.probes = Probes(readings, len(self.data.points), self.size)
-        for name in ("mu", "leverages", "spread", "jacobian", "lag", "rests_on"):
+        for name in ("mu", "leverages", "spread", "uneven", "jacobian", "lag", "rests_on"):
             setattr(self, name, getattr(self, name)[~certain])
 
     @property
     def prior(self) -> tuple[Array, Array, Array]:
         """Prior precisions of a taxel (2 + q,), a contact (3,) and the global parameters (ks,)."""
         d, sigma = self.deviations, self.data.parameters.sigma.copy()
-        at = self.data.parameters.columns.get("profile", slice(0, 0))
-        sigma[at] = d.profile
+        sigma[self.data.parameters.columns.get("profile", slice(0, 0))] = d.profile
         own = [getattr(d, name) ** -2.0 for name in self.data.parameters.nuisance_names]
         taxel = np.array([0.0, 0.0, *own])
         return taxel, np.array([d.position, d.position, d.force]) ** -2.0, sigma**-2.0
@@ -297,7 +297,7 @@ class RandomEffects:
                 grown = self._with_noise(self.deviations, 1)
                 self.deviations = max(self.deviations, grown, key=lambda d: d.noise)
             if self.crossed is None:
-                self.spread = self.deviations.noise_of(self.mu)
+                self.spread = self.deviations.noise_of(self.mu, self.uneven)
             if posterior is not None and np.isfinite(settled):
                 settled = np.inf  # from here on a decrease follows from the change of variances
                 self._leave_out_certain_silences()
@@ -336,15 +336,15 @@ class RandomEffects:
         return np.inf if abs(np.log(self.deviations.noise / d.noise)) > NOISE_TOLERANCE else largest
 
     def clear(self) -> np.ndarray:
-        """Readings (k,) bool that are predicted well inside the sensor's range, so that their
-        residuals are not censored."""
+        """Readings (k,) bool predicted well inside the sensor's range, of whole residuals."""
         clear = (self.readings.kind == OBSERVED) & (self.readings.weight > 0.5)
         return np.asarray(clear & clear_of_limits(self.mu, self.data, self.spread))
 
     def _with_noise(self, d: Deviations, parts: int) -> Deviations:
-        """Deviations with the constant part of the noise from the residuals, or both `parts`."""
+        """Deviations with the noise by the residuals: its constant part, or both `parts`."""
         if self.noise_known or not (clear := self.clear()).any():
             return d
         level = self.readings.level[clear] / self.data.sigma
         r2 = np.minimum(np.abs(self.mu[clear] - level), HUBER * self.spread[clear]) ** 2
-        return d.with_noise(self.mu[clear], r2, 1 - self.leverages[clear], parts)
+        free = 1 - self.leverages[clear]
+        return d.with_noise(self.mu[clear], self.uneven[clear], r2, free, parts)

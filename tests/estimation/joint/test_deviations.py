@@ -63,12 +63,32 @@ def test_both_parts_of_the_noise(noise, relative):
     free = 0.3 + 0.6 * rng.random(len(mu))
     deviation = np.hypot(noise, relative * mu)
     squares = free * (deviation * rng.standard_normal(len(mu))) ** 2
-    found = Deviations(noise=1.0).with_noise(mu, squares, free, 2)
+    found = Deviations(noise=1.0).with_noise(mu, np.zeros_like(mu), squares, free, 2)
     assert found.noise == pytest.approx(noise, rel=0.06)
     assert found.relative == pytest.approx(relative, abs=0.004)
-    constant = Deviations(noise=1.0).with_noise(mu, squares, free, 1)
+    constant = Deviations(noise=1.0).with_noise(mu, np.zeros_like(mu), squares, free, 1)
     assert constant.relative == 0.0
     assert constant.noise == pytest.approx(np.sqrt(np.mean(deviation**2)), rel=0.05)
+
+
+@pytest.mark.parametrize("shape", [0.0, 0.3, 1.0])
+def test_what_readings_show_of_uneven_patches(shape):
+    rng = np.random.default_rng(2)
+    mu, uneven = 100 * rng.random(20000), 30 * rng.random(20000) ** 4
+    deviation = np.sqrt(1.0 + (0.02 * mu) ** 2 + (shape * uneven) ** 2)
+    squares = (deviation * rng.standard_normal(len(mu))) ** 2
+    found = Deviations(noise=2.0).with_noise(mu, uneven, squares, np.ones(len(mu)), 2)
+    assert found.shape == pytest.approx(shape, rel=0.05, abs=0.05)
+    assert found.noise == pytest.approx(1.0, rel=0.06)
+    assert found.relative == pytest.approx(0.02, abs=0.004)
+
+
+def test_few_readings_in_uneven_contacts_show_what_is_believed():
+    mu, uneven = np.zeros(1000), np.zeros(1000)
+    uneven[0] = 20.0
+    squares = np.ones(1000)
+    found = Deviations(noise=1.0).with_noise(mu, uneven, squares, np.ones(1000), 1)
+    assert 0.8 < found.shape < 1.0
 
 
 def test_noise_grows_with_the_reading():

@@ -1,0 +1,111 @@
+"""Contacts over edges of the body, where no quadric describes the surface within a patch.
+
+A thin layer on a rigid prism, written here with NumPy alone: pressure is stiffness times the
+overlap of the indenter with the layer along the face's normal, and a taxel reads its mean over a
+disc.
+"""
+
+from functools import cache
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import trimesh
+
+import meshskin as ms
+from meshskin.estimation.data.gather import gather
+from meshskin.recording.recording import CONTACTS, READINGS, Recording
+
+FACES, APOTHEM, INDENTER, DISC, STIFFNESS, FORCE, PITCH = 6, 0.04, 6e-3, 2e-3, 3e8, 2.0, 5e-3
+WIDTH = 2 * APOTHEM * np.tan(np.pi / FACES)
+ARC, HEIGHT = (
+    x.ravel()
+    for x in np.meshgrid(WIDTH / 2 + PITCH * np.arange(-4, 1) + 1e-3, PITCH * np.arange(-2, 3))
+)
+
+
+def on_prism(arc, height):
+    """Points and normals of arc lengths from the middle of a face, and heights, m."""
+    face = np.round(np.asarray(arc) / WIDTH)
+    angle, along = 2 * np.pi * face / FACES, arc - WIDTH * face
+    zero = np.zeros_like(angle)
+    normal = np.stack([np.cos(angle), np.sin(angle), zero], axis=-1)
+    tangent = np.stack([-np.sin(angle), np.cos(angle), zero], axis=-1)
+    up = np.asarray(height)[..., None] * [0.0, 0.0, 1.0]
+    return APOTHEM * normal + along[..., None] * tangent + up, normal
+
+
+def overlap(centre, points, normals):
+    """Overlap of balls with the lines into the body at points (m, k, 3), m."""
+    apart = points - centre[:, None]
+    along = np.einsum("mkj,mkj->mk", apart, normals)
+    root = along**2 - np.einsum("mkj,mkj->mk", apart, apart) + INDENTER**2
+    return np.where(root > 0, np.maximum(along + np.sqrt(np.maximum(root, 0)), 0), 0)
+
+
+@cache
+def recording(seed=0, count=150):
+    """Taps at random places about an edge, raw readings in a unit of their own."""
+    rng = np.random.default_rng(seed)
+    arc = rng.uniform(ARC.min() - 3e-3, ARC.max() + 1e-3, count)
+    height = rng.uniform(HEIGHT.min() - 3e-3, HEIGHT.max() + 3e-3, count)
+    points, normals = on_prism(arc, height)
+    force = FORCE * np.exp(0.2 * rng.standard_normal(count))
+    near, step = np.linspace(-6e-3, 6e-3, 31, retstep=True)
+    u, v = (x.ravel() for x in np.meshgrid(near, near))
+    around = on_prism(arc[:, None] + u, height[:, None] + v)
+    low, high = np.zeros(count), np.full(count, 3e-3)
+    for _ in range(30):
+        depth = (low + high) / 2
+        centre = points + (INDENTER - depth)[:, None] * normals
+        more = STIFFNESS * step**2 * overlap(centre, *around).sum(axis=1) < force
+        low, high = np.where(more, depth, low), np.where(more, high, depth)
+    k = np.arange(100) + 0.5
+    disc = DISC * np.sqrt(k / 100) * np.exp(1j * np.pi * (1 + 5**0.5) * k)
+    felt = on_prism(ARC[:, None] + disc.real, HEIGHT[:, None] + disc.imag)
+    shape = (1, -1, 3)
+    reading = overlap(
+        centre, *(np.broadcast_to(x.reshape(shape), (count, x.size // 3, 3)) for x in felt)
+    )
+    reading = reading.reshape(count, len(ARC), -1).mean(axis=2)
+    noise = 0.01 * np.median(reading.max(axis=0))
+    reading += noise * rng.standard_normal(reading.shape)
+    contact, taxel = np.nonzero(reading > 3 * noise)
+    time = 0.02 * np.arange(count)
+    columns = [np.ascontiguousarray(x) for x in (time, *points.T, *normals.T, force)]
+    readings = [time[contact], taxel.astype(np.int32), STIFFNESS * reading[contact, taxel]]
+    facts = {"taxel_ids": list(range(len(ARC))), "disc_radius_m": DISC}
+    return Recording(pa.table(columns, schema=CONTACTS), pa.table(readings, schema=READINGS), facts)
+
+
+@pytest.fixture(scope="module")
+def belief(tmp_path_factory):
+    radius = APOTHEM / np.cos(np.pi / FACES)
+    mesh = trimesh.creation.cylinder(radius, 0.2, sections=FACES)
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / FACES, [0, 0, 1]))
+    path = tmp_path_factory.mktemp("edges") / "prism.stl"
+    mesh.export(path)
+    return ms.Belief(
+        body=ms.Body.load(path, "m"), indenter=ms.Indenter.sphere(INDENTER),
+        material=ms.Material(0.5e6, 0.49), taxel_ids=np.arange(len(ARC)), disc_radius=DISC,
+        contact="learned",
+    )  # fmt: skip
+
+
+def test_uneven_contacts_are_those_over_an_edge(belief):
+    data = gather(recording(1), belief)
+    away = np.degrees(
+        np.abs(np.angle(np.exp(1j * (np.arctan2(*data.points.T[1::-1]) - np.pi / 6))))
+    )
+    assert np.all(data.uneven[away < 2.0] > 5.0)
+    assert data.uneven[away > 12.0].max() < 0.1
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_taxels_beside_an_edge_are_where_their_sigma_says(belief, seed):
+    found = ms.calibrate(recording(seed), belief)
+    off = np.linalg.norm(found.positions - on_prism(ARC, HEIGHT)[0], axis=1)
+    placed = np.isfinite(off)
+    score = off[placed] / found.position_sigma[placed]
+    assert placed.mean() > 0.9
+    assert score.max() < 4.0
