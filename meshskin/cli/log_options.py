@@ -19,7 +19,7 @@ from .log import add_scan, summary
 if TYPE_CHECKING:
     from ..core.progress import Progress
     from ..estimation.calibration import Calibration
-    from ..estimation.kinematics.calibrate_log import LogCalibration
+    from ..estimation.kinematics.log_calibration import LogCalibration
     from ..recording.recording import Recording
     from ..recording.skin_log import SkinLog
     from ..robot.robot import Robot

@@ -14,7 +14,7 @@ from .clock_offset import ClockOffset, clock_offset
 from .log_map import LogMap, StreamMap
 from .skin_log import SkinLog
 from .stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, overlap
-from .tare import BLOCK, COLUMNS, MAD, MIN_REST, Tared, tare
+from .tare import BLOCK, COLUMNS, MAD, MIN_REST, Tared, at_rest, tare
 
 REST_SIGMAS = 3.0
 """Force in standard deviations of its noise at rest, up to which it counts as zero."""
@@ -280,19 +280,25 @@ def _force_at_rest(
 
 
 def _rest_level(frames: Array, values: Array, in_contact: NDArray[np.bool_], name: str) -> Array:
-    """Mean (n, k) of the values without contact, in blocks of time, linear between them."""
+    """Medians (n, k) of the values at rest, in blocks of time, linear between them.
+
+    The median, as the indenter may press beside the taxels, and as the skin's stamps may be late.
+    Raises RecordingError where no block has enough frames without contact.
+    """
     block = ((frames - frames[0]) / BLOCK).astype(int)
-    count = np.bincount(block)
-    rest = np.bincount(block[~in_contact], minlength=len(count))
-    known = np.flatnonzero((rest > 0) & (rest >= MIN_REST * count))
-    if not len(known):
+    for rest in (at_rest(frames, in_contact), ~in_contact):
+        count = np.bincount(block)
+        quiet = np.bincount(block[rest], minlength=len(count))
+        known = np.flatnonzero((quiet > 0) & (quiet >= MIN_REST * count))
+        if len(known):
+            break
+    else:
         raise RecordingError(
             f"the level of {name} at rest is not known: the skin is in contact all the time",
             remedy="lift off the robot for a second at the start of a log",
         )
-    out = np.empty_like(values)
-    for k, column in enumerate(values.T):
-        sums = np.bincount(block[~in_contact], column[~in_contact], len(count))
-        middle = np.bincount(block[~in_contact], frames[~in_contact], len(count))
-        out[:, k] = np.interp(frames, middle[known] / rest[known], sums[known] / rest[known])
-    return out
+    at = [rest & (block == k) for k in known]
+    middle = np.array([frames[rows].mean() for rows in at])
+    levels = np.array([np.median(values[rows], axis=0) for rows in at])
+    columns = [np.interp(frames, middle, level) for level in levels.T]
+    return np.stack(columns, axis=1)
