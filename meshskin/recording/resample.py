@@ -14,6 +14,7 @@ from .clock_offset import ClockOffset, clock_offset
 from .log_map import LogMap, StreamMap
 from .skin_log import SkinLog
 from .stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, overlap
+from .stream_checks import check_single, without_garbage
 from .tare import BLOCK, COLUMNS, MAD, MIN_REST, Tared, at_rest, tare
 
 REST_SIGMAS = 3.0
@@ -36,22 +37,26 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     """The streams of a log that was read with `log_map`, at the frames of its first skin.
 
     Raises ConfigError for a map without taxels and for taxels or joints that occur twice,
-    RecordingError for a log that was not read with the map, times that run backwards, streams that
-    do not overlap in time, and a skin that never answers.
+    RecordingError for a log that was not read with the map, times that run backwards, streams of
+    two publishers, streams that do not overlap in time, and a skin that never answers.
     """
-    pairs = paired(log, log_map)
+    pairs, notes = [], [*log.notes]
+    for stream, given in paired(log, log_map):
+        sound, note = without_garbage(stream)
+        pairs.append((sound, given))
+        notes += [note] if note else []
     skins = [pair for pair in pairs if pair[1].kind == TAXELS]
     if not skins:
         raise ConfigError("the map names no taxels", remedy='add a stream of kind = "taxels"')
     for stream, _ in pairs:
         stream.check_times()
+        check_single(stream)
     overlap([stream for stream, _ in pairs if stream.kind != CONTACTS])
     ids = _ids(skins)
     tared = {s.name: tare(s.times, s.values, m.polarity, s.name) for s, m in skins}
     times = skins[0][0].times - (skins[0][1].delay or 0.0)
     base = tared[skins[0][0].name]
     offsets = _offsets(times, base, pairs) if skins[0][1].delay is None else ()
-    notes = [*log.notes]
     offset = 0.0
     if offsets and offsets[0].usable:
         offset = offsets[0].offset

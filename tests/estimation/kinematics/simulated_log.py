@@ -55,8 +55,7 @@ class Exploration:
         )
 
     def pressures(self):
-        """The log of a skin whose readings are pressures, Pa, and of a force sensor, which is on the
-        clock of the robot."""
+        """The log of a skin that reads pressures, Pa, and of a force on the robot's clock."""
         log, recording = self.log, self.recording
         pressure, force = np.full(log.readings.shape, np.nan), np.zeros(len(log.time))
         column = np.searchsorted(np.asarray(log.taxel_ids), recording.reading_taxel)

@@ -22,6 +22,8 @@ FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06
 """Operation codes of the records that are read, and of those after the data."""
 FORMATS = {"ros2msg": MSG, "ros1msg": MSG, "ros2idl": IDL, "omgidl": IDL}
 """Format of definitions by the encoding of a schema."""
+DAMAGED = (Torn, KeyError, ValueError, struct.error, OSError, OverflowError)
+"""What reading damaged records raises."""
 _RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _CHUNK, _TEXT, _SIZE = struct.Struct("<QQQI"), struct.Struct("<I"), struct.Struct("<Q")
 
@@ -29,8 +31,8 @@ Schemas = dict[int, tuple[str, str, bytes]]
 """Name, encoding and data of the schemas by their number."""
 
 
-def records(path: Path) -> Iterator[Connection | Record]:
-    """Connections and messages in the order of the file.
+def records(path: Path) -> Iterator[Connection | Record | Torn]:
+    """Connections and messages in the order of the file, and Torn for a chunk that is damaged.
 
     Raises Torn where the file ends before its footer or is damaged, RecordingError for a
     compression that is not read.
@@ -46,13 +48,18 @@ def records(path: Path) -> Iterator[Connection | Record]:
                 if code in (FOOTER, DATA_END):
                     return
                 if code == CHUNK:
-                    yield from _chunk(stream, length, schemas, path)
+                    try:
+                        yield from _chunk(stream, length, schemas, path)
+                    except DAMAGED:
+                        if stream.seek(start + _RECORD.size + length) >= size:
+                            raise
+                        yield Torn(f"chunk at byte {start} of {size}")
                 elif code in (SCHEMA, CHANNEL, MESSAGE):
                     if (one := _record(code, _take(stream, length), schemas)) is not None:
                         yield one
                 elif stream.seek(length, 1) > size:
                     raise Torn
-            except (Torn, KeyError, ValueError, struct.error) as error:
+            except DAMAGED as error:
                 raise Torn(f"in its record at byte {start} of {size}") from error
 
 

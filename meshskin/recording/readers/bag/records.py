@@ -183,13 +183,29 @@ class ScannedBag:
         self._store = typestore(self.connections.values(), files)
 
     def _all(self) -> Iterator[tuple[Path, Connection | Record]]:
+        """Connections and messages; no message that is the last one before damage, whose data may
+        be damaged, too."""
         self.notes.clear()
         for path in self.paths:
+            last: Record | None = None
             try:
                 for one in self.records(path):
-                    yield path, one
+                    if isinstance(one, Torn):
+                        self.notes.append(
+                            f"{path.name} is damaged: the {one} is left out from there"
+                        )
+                        last = None
+                        continue
+                    if last is not None:
+                        yield path, last
+                    last = one if isinstance(one, Record) else None
+                    if last is None:
+                        yield path, one
             except Torn as end:
                 self.notes.append(f"{path.name} is torn {end}: what is before is read")
+            else:
+                if last is not None:
+                    yield path, last
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of receipt (ns) and data of the messages of some topics."""

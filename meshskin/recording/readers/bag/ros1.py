@@ -20,6 +20,8 @@ MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, CHUNK, CONNECTION = 2, 3, 5, 7
 """Values of the field `op` of the records that are read."""
 _LENGTH, _TIME, _POSITION = struct.Struct("<I"), struct.Struct("<II"), struct.Struct("<Q")
+DAMAGED = (Torn, KeyError, IndexError, ValueError, struct.error, OSError)
+"""What reading damaged records raises."""
 _SECOND = 10**9
 """Nanoseconds."""
 
@@ -35,11 +37,11 @@ def is_closed(path: Path) -> bool:
     return _POSITION.unpack(header.get("index_pos", bytes(8)))[0] != 0
 
 
-def records(path: Path) -> Iterator[Connection | Record]:
-    """Connections and messages in the order of the file.
+def records(path: Path) -> Iterator[Connection | Record | Torn]:
+    """Connections and messages in the order of the file, and Torn for a chunk that is damaged.
 
-    Raises Torn where the file ends within a record, RecordingError for a compression that is not
-    read.
+    Raises Torn where the file ends within a record or is damaged beyond it, RecordingError for a
+    compression that is not read.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -52,14 +54,20 @@ def records(path: Path) -> Iterator[Connection | Record]:
                 length = _LENGTH.unpack(_take(stream, 4))[0]
                 if operation == CHUNK:
                     content = stream.read(length)
-                    yield from _chunk(_decompress(content, header["compression"].decode(), path))
+                    try:
+                        whole = _decompress(content, header["compression"].decode(), path)
+                        yield from _chunk(whole)
+                    except DAMAGED:
+                        if len(content) < length:
+                            raise
+                        yield Torn(f"chunk at byte {start} of {size}")
                     if len(content) < length:
                         raise Torn
                 elif operation in (CONNECTION, MESSAGE):
                     yield _record(operation, header, _take(stream, length))
                 else:
                     stream.seek(length, 1)
-            except (Torn, KeyError, IndexError, ValueError, struct.error, OSError) as error:
+            except DAMAGED as error:
                 raise Torn(f"in its record at byte {start} of {size}") from error
 
 
