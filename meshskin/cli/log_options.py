@@ -77,7 +77,7 @@ class FromLog:
         return None if self.joints is None else self.joints.calibration
 
 
-def from_log(options: argparse.Namespace, progress: Progress | None = None) -> FromLog:
+def from_log(options: argparse.Namespace, progress: Progress | None) -> FromLog:
     """The log of --map on one clock, with its contacts; where these follow from joint angles, they
     are calibrated with the taxels. progress: as of `calibrate`. Raises RecordingError,
     ConfigError, CalibrationError.

@@ -191,12 +191,14 @@ def corrupt_readings(pressure: Array, taxel: np.ndarray) -> np.ndarray:
     return lost if typical <= 0 or too_many_corrupt(wild) else lost | wild
 
 
-def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array) -> np.ndarray:
+def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array, reach: float) -> np.ndarray:
     """Readings (k,) bool, in time order, of stretches in which a taxel (k,) repeats one value in
     contacts at `points` (k, 3), m, further apart than taxels sense: their rms distance from their
-    middle is STUCK_SPREAD times that of the typical taxel's contacts.
+    middle is STUCK_SPREAD times that of the typical taxel's contacts, and `reach`, m, the distance
+    to which a taxel responds by the belief, as few contacts of a taxel lie closer together.
 
-    None of taxels whose readings are all equal.
+    Readings at rest, which sound taxels repeat, must be left out before. None of taxels whose
+    readings are all equal.
     """
     order = np.argsort(taxel, kind="stable")
     owner, value, at = taxel[order], pressure[order], points[order]
@@ -204,7 +206,7 @@ def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array) -> np.ndar
     run = np.cumsum(begins | (np.diff(value, prepend=np.nan) != 0)) - 1
     typical = float(np.median(_spreads(at, np.cumsum(begins) - 1)[0])) if len(owner) else 0.0
     spread, count = _spreads(at, run)
-    stuck = (count >= MIN_STUCK) & (spread > STUCK_SPREAD * typical)
+    stuck = (count >= MIN_STUCK) & (spread > STUCK_SPREAD * max(typical, reach))
     found = np.zeros(len(taxel), dtype=bool)
     found[order] = stuck[run] & (count[run] < np.bincount(owner)[owner])
     return found

@@ -47,7 +47,7 @@ and scale would go far to explain."""
 
 
 def with_departures(
-    effects: RandomEffects, excluded: Collection[str] = ()
+    effects: RandomEffects, excluded: Collection[str]
 ) -> tuple[RandomEffects, dict[str, float]]:
     """The estimate at its optimum, with what the readings show beyond the response, and the scores
     of other departures, but for those that make the readings hardly more likely.

@@ -188,7 +188,7 @@ def misfitting_contacts(readings: Readings, r: Array, scale: float) -> np.ndarra
     return np.flatnonzero(chance < CONTACT_SIGNIFICANCE / max(int(pressed.sum()), 1))
 
 
-def robust_weights(r: Array, scale: float, stage: float, cutoff: float = CUTOFF) -> Array:
+def robust_weights(r: Array, scale: float, stage: float, cutoff: float) -> Array:
     """Geman-McClure weights (k,) at a stage m; at m = 0, the probability that a reading is sound,
     one half where its residual is `cutoff`, in units of `scale`.
     """

@@ -15,6 +15,7 @@ from ...core.notebook import Card
 from ...core.value import Value
 from ..calibration import Calibration
 from ..chart import align_normals
+from ..result import join_words
 from .errors import Errors
 from .evidence import Evidence
 from .hypotheses import (
@@ -210,7 +211,7 @@ def updated(
                 gain[mine] += change.log_gain
             if h.state in (DEAD, GAIN):
                 words = h.state if h.state == DEAD else f"gain times {np.exp(change.log_gain):.2f}"
-                faults[mine] = [", ".join(filter(None, (f, words))) for f in faults[mine]]
+                faults[mine] = [join_words(f, words) for f in faults[mine]]
     lost = ~known.known & ~np.isfinite(poses[:, 0, 3])
     local = np.swapaxes(poses[:, :3, :3], 1, 2) @ covariance @ poses[:, :3, :3]
     base = previous if isinstance(previous, Calibration) else None
@@ -235,7 +236,7 @@ def updated(
         )  # fmt: skip
     order = np.argsort(base.ids, kind="stable")
     old = np.full(n, "", dtype=object) if base.faults is None else base.faults[order]
-    named = [", ".join(filter(None, pair)) for pair in zip(old, faults, strict=True)]
+    named = [join_words(*pair) for pair in zip(old, faults, strict=True)]
     filled = known.known & ~np.isfinite(base.positions[order, 0])
     additions = None if base.additions is None else base.additions.copy()
     if additions is not None:

@@ -9,13 +9,14 @@ the readings displaces a taxel: the path of the contact points does.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core import se3
 from ...core.arrays import Array, sums_by_group
+from ..chart import tangential_square
 from ..data import delay
 from ..data.registration import CELL, MIN_SCATTER
 from ..trilateration.displacements import surface_motion
@@ -57,20 +58,17 @@ def systematic_covariance(
     # readings do not show an offset along the normals: where it explains no distance, it is none
     if np.sum(moved_hit.distance**2) < np.sum(hit.distance**2):
         points, hit = moved, moved_hit
-    tangents = rotations[:, :, :2]
-    sideways = motion(data, points, hit.distance, hit.normal).squares(_middles(data))
+    tangents, middles = rotations[:, :, :2], _middles(data)
+    sideways = motion(data, points, hit.distance, hit.normal).squares(middles)
     tangential = np.swapaxes(tangents, 1, 2) @ sideways @ tangents
     if jump is not None:
-        apart = np.einsum("nia,i->na", tangents, jump)
-        tangential += apart[:, :, None] * apart[:, None, :]
+        tangential += tangential_square(tangents, np.broadcast_to(jump, middles.shape))
     if data.belief.surface_sigma > 0.0:
-        wider = data.belief.surface_sigma * _growth(data, _middles(data))
-        apart = np.einsum("nia,ni->na", tangents, wider)
-        tangential += apart[:, :, None] * apart[:, None, :]
+        wider = data.belief.surface_sigma * _growth(data, middles)
+        tangential += tangential_square(tangents, wider)
     tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
     if data.parameters.motion is not None:
-        tilted = np.einsum("nia,ni->na", tangents, tilts(data, hit.point, hit.distance))
-        tangential += tilted[:, :, None] * tilted[:, None, :]
+        tangential += tangential_square(tangents, tilts(data, hit.point, hit.distance))
     into = surface_motion(shape)
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
     out[:, 2, 2] += _normal_variance(data, hit.distance) + data.belief.surface_sigma**2
@@ -257,7 +255,8 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
 
     It is none where it does not explain the distances (m,), m, and where a body of another size,
     scaled or offset along its normals, explains them better: its taxels are where the contacts are.
-    One with turn and scale must leave a tenth of what the simpler ones leave.
+    One with turn and scale must leave a tenth of what the simpler ones leave, and the moved points
+    must lie as near: a large one on a small part of the body fits its dents to first order only.
     """
     shift = displacement(distance, normals)
 
@@ -275,10 +274,12 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     corners = points if facets is None else facets.vertices
     bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
     found = Motion.explaining(bounds, points, distance, normals)
-    if sum(left(distance - np.sum(normals * found.at(points), axis=1))) < MAX_LEFT * simple:
-        return found
+    moved = data.body.closest(points - found.at(points))  # far motions are not linear
+    after = sum(left(moved.distance))
     moves = squares[0] < min(squares[1:]) and simple <= MAX_LEFT * whole + scatter
-    return found if moves else Motion.none(points)
+    if after < MAX_LEFT * simple or (moves and after <= MAX_LEFT * whole + scatter):
+        return found
+    return replace(Motion.none(points), shift=shift) if moves else Motion.none(points)
 
 
 def offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> Array:

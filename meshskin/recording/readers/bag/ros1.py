@@ -17,7 +17,7 @@ from ....core.errors import RecordingError
 from .records import MSG, Connection, Record, Torn
 
 MAGIC = b"#ROSBAG V2.0\n"
-MESSAGE, BAG, CHUNK, CONNECTION = 2, 3, 5, 7
+MESSAGE, CHUNK, CONNECTION = 2, 5, 7
 """Values of the field `op` of the records that are read."""
 _LENGTH, _TIME, _POSITION = struct.Struct("<I"), struct.Struct("<II"), struct.Struct("<Q")
 DAMAGED = (Torn, KeyError, IndexError, ValueError, struct.error, OSError)
