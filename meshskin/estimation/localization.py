@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.arrays import Array, sums_by_group
+from ..core.arrays import Array, means_by_group, sums_by_group
 from .data.global_parameters import MOTION, MOVES, PRIORS, SIZES, WARMING
 from .data.measurements import Measurements
 from .data.pairs import near_pairs
@@ -169,11 +169,10 @@ class CalibratedSkin:
         """`centroids` of the readings `rows`, sorted by contact."""
         m = len(self.data.points)
         contact, weight = self.data.contact[rows], self.data.pressure[rows]
-        total = np.bincount(contact, weight, m)
-        mean = sums_by_group(weight[:, None] * self.points[self.data.taxel[rows]], contact, m)
-        out, some = np.full((m, 3), np.nan), total > 0
-        out[some] = self.data.body.closest(mean[some] / total[some, None]).point
-        return out
+        mean = means_by_group(self.points[self.data.taxel[rows]], contact, m, weight)
+        some = np.isfinite(mean[:, 0])
+        mean[some] = self.data.body.closest(mean[some]).point
+        return mean
 
     def localize(self, contacts: np.ndarray) -> Array:
         """Places (m, 3), m, of `contacts` (rows); NaN for others, and for those that fewer than

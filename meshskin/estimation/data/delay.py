@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group
 from .measurements import Measurements
 
 LATE_FRAMES = 5
@@ -124,11 +124,9 @@ def _possible_filters(
 def spreads(points: Array, weight: Array, taxel: np.ndarray) -> Array:
     """Weighted mean square distances (t,), m^2, of the contact points (k, 3) of each taxel from
     their middle; taxel (k,): whose they are."""
-    total = np.bincount(taxel, weight)
-    mean = sums_by_group(weight[:, None] * points, taxel, len(total))
-    mean /= np.maximum(total, 1e-300)[:, None]
-    square = np.bincount(taxel, weight * np.sum((points - mean[taxel]) ** 2, axis=1))
-    return np.asarray(square[total > 0] / total[total > 0])
+    off = points - means_by_group(points, taxel, weight=weight)[taxel]
+    square = means_by_group(np.sum(off**2, axis=1), taxel, weight=weight)
+    return square[np.isfinite(square)]
 
 
 def comparison(moved: Array, present: Array) -> tuple[float, float]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.arguments import NamedFields, check_array, check_type
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group
 from ...core.config import check_fields, quantity
 from ...core.errors import CalibrationError
 from ...core.se3 import exp_so3, hat
@@ -170,7 +170,7 @@ def positions(side: TouchSide, state: SideState) -> Array:
 def _on_mount(side: TouchSide, state: SideState) -> tuple[Array, Array]:
     """Taxels (n, 3) before the mount, and their turned arms (n, 3) from the patches' middles."""
     assert side.patch is not None
-    middle = sums_by_group(side.positions, side.patch) / np.bincount(side.patch)[:, None]
+    middle = means_by_group(side.positions, side.patch)
     arm = side.positions + state.taxels - middle[side.patch]
     turned = np.einsum("nij,nj->ni", state.patches[1][side.patch], arm)
     return (middle + state.patches[0])[side.patch] + turned, turned
