@@ -58,7 +58,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--cross-validate", type=int, metavar="FOLDS", help="hold out contacts in FOLDS folds and "
-        "localise them by the skin calibrated on the others: one more calibration per fold",
+        "localize them by the skin calibrated on the others: one more calibration per fold",
     )  # fmt: skip
     export_options.add(parser)
     parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")

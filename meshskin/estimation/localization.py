@@ -1,4 +1,4 @@
-"""Contacts localised on the body from their readings alone, by a calibrated skin.
+"""Contacts localized on the body from their readings alone, by a calibrated skin.
 
 The likelihood of a contact's readings, silences and saturated readings included, is maximized over
 the two surface coordinates of the contact; its force is as measured. The measurement function is
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .calibration import Calibration
 
 LEAST = 3
-"""Readings of a contact that is localised: of two, one is left to choose between the two places
+"""Readings of a contact that is localized: of two, one is left to choose between the two places
 that mirror each other across the line between both taxels."""
 AT_REST = 5.0
 """Standard deviations above what a taxel reads at rest, from which it is pressed."""
@@ -42,7 +42,7 @@ STEP = 0.5
 ITERATIONS = 30
 """Largest number of steps; 6 to 10 are usual."""
 CONVERGED = 1e-7
-"""Length of a step, m, from which a contact is localised."""
+"""Length of a step, m, from which a contact is localized."""
 FLOOR = 1e-9
 """Least damping, relative to the largest curvature of a contact: no taxel in reach has none."""
 

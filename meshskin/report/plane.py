@@ -1,4 +1,4 @@
-"""The tangent plane at the skin's center, on which maps are drawn, and helpers of all figures."""
+"""The tangent plane at the skin's centre, on which maps are drawn, and helpers of all figures."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def finite_rows(values: ArrayLike) -> Array:
 
 
 def tangent_plane(points: ArrayLike, normals: ArrayLike) -> Plane:
-    """The tangent plane of a skin at its center, seen from outside.
+    """The tangent plane of a skin at its centre, seen from outside.
 
     points (n, 3), m; normals (n, 3), outward. Rows that are not finite are left out. Where the
     normals have no mean it is the plane that fits the points best. The second axis is the

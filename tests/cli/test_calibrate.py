@@ -237,7 +237,7 @@ def test_held_out_contacts(log, tmp_path, capsys):
     m = json.loads((out / "metrics.json").read_text())["cross_validation"]
     assert m["folds"] == 2
     assert m["error_mm"]["rms"] < 0.15 < 0.4 < m["centroid_error_mm"]["rms"]
-    assert f"{m['localized']} of 1200 contacts localised to" in capsys.readouterr().out
+    assert f"{m['localized']} of 1200 contacts localized to" in capsys.readouterr().out
     assert "Held-out contacts" in (out / "report.html").read_text()
     (out / "report.html").unlink()
     assert cli.main(["report", str(out)]) == 0

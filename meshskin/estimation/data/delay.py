@@ -97,9 +97,9 @@ def _neighbours(data: Measurements, level: Array) -> tuple[Array, np.ndarray]:
 def _possible_filters(
     taxel: np.ndarray, level: Array, before: Array, last: np.ndarray
 ) -> tuple[float, ...]:
-    """Those of KEPT that levels (k,) of taxels (k,) may have behind a low-pass filter: most taxels'
-    rise faster than they fall, and none falls below the part that is kept. before, last (k,): as
-    `_neighbours`.
+    """Parts of KEPT that a low-pass filter of levels (k,) of taxels (k,) may have: most taxels'
+    levels rise faster than they fall, and none falls below the part that is kept. before, last
+    (k,): as `_neighbours`.
 
     Without this, the changes of levels that are only late pass for a filter's input: they come
     earlier, and from a smaller part of a patch, than the levels.

@@ -42,15 +42,15 @@ class TouchSide(Value, NamedFields):
     mount_sigma: float = quantity("m", 0.05, least=0.0)
     """Standard deviation of the mount's displacement before any data, m."""
     mount_turn_sigma: float = quantity("rad", 0.5, least=0.0)
-    """That of its rotation about each axis, rad."""
+    """Standard deviation of the mount's rotation about each axis, rad."""
     patch_sigma: float = quantity("m", 0.0, least=0.0)
-    """That of the displacement of each patch, m."""
+    """Standard deviation of the displacement of each patch, m."""
     patch_turn_sigma: float = quantity("rad", 0.0, least=0.0)
-    """That of its rotation about each axis, rad."""
+    """Standard deviation of each patch's rotation about each axis, rad."""
     taxel_sigma: float = quantity("m", 0.0, least=0.0)
-    """That of each taxel's own displacement along each axis, m."""
+    """Standard deviation of each taxel's own displacement along each axis, m."""
     joint_sigma: float = quantity("rad", 0.0, least=0.0)
-    """That of a constant error of each joint angle, rad."""
+    """Standard deviation of a constant error of each joint angle, rad."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -89,7 +89,7 @@ class TouchSide(Value, NamedFields):
             )
 
     def of(self, rows: ArrayLike) -> TouchSide:
-        """The same skin in some of the touches: indices or a mask."""
+        """This side in some of the touches: indices or a mask."""
         i = np.asarray(rows)
         return replace(self, angles=self.angles[i], readings=self.readings[i])
 

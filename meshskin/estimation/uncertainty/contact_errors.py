@@ -177,7 +177,7 @@ class Motion:
 
     @classmethod
     def none(cls, points: Array) -> Motion:
-        """That of points (m, 3), m, which do not move."""
+        """No motion, about the middle of the points (m, 3), m."""
         return cls(points.mean(axis=0), np.zeros(3), np.zeros(3), 0.0, np.zeros((7, 7)))
 
     @classmethod

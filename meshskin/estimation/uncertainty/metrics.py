@@ -56,7 +56,7 @@ def summary_mm(errors: Array) -> dict[str, float]:
 
 
 def nees(calibration: Calibration, skin: Skin) -> Array:
-    """Normalised squared error (n,) along the surface: 2 on average where the covariance holds.
+    """Normalized squared error (n,) along the surface: 2 on average where the covariance holds.
 
     NaN for a taxel whose position along the surface is not determined.
     """

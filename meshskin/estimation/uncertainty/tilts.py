@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FLAT = 0.01
 """Mean square of the distances of contacts from a plane, relative to that along it, which the slope
-of their heights across it is regularised by: along the normal contacts hardly vary."""
+of their heights across it is regularized by: along the normal contacts hardly vary."""
 
 
 def tilts(data: Measurements, points: Array, distance: Array) -> Array:

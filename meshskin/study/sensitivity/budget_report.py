@@ -82,7 +82,7 @@ class BudgetReport(Card, Tabular):
     entries: tuple[Entry, ...]
     """Effects by decreasing shift, knobs, and effects that were refused."""
     estimate: float
-    """Shift of the taxels by all that is off together, m, by the linearised calibration."""
+    """Shift of the taxels by all that is off together, m, by the linearized calibration."""
     check: Check
     """Comparison of the estimate with the truth."""
     scene: Scene = field(repr=False)
