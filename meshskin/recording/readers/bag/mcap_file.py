@@ -89,11 +89,8 @@ def _record(code: int, content: bytes, schemas: Schemas) -> Connection | Record 
     key = int.from_bytes(stream.read(2), "little")
     if code == SCHEMA:
         name, encoding = _text(stream), _text(stream)
-        schemas[key] = (
-            name,
-            encoding,
-            read_exactly(stream, _TEXT.unpack(read_exactly(stream, 4))[0]),
-        )
+        (length,) = _TEXT.unpack(read_exactly(stream, _TEXT.size))
+        schemas[key] = name, encoding, read_exactly(stream, length)
         return None
     schema = int.from_bytes(stream.read(2), "little")
     name, encoding, data = schemas.get(schema, ("", "", b""))
