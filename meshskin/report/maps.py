@@ -218,8 +218,10 @@ def coverage(data: ReportData) -> Figure:
     if len(route):
         assert data.recording is not None
         line, _ = path_with_breaks(data.recording.points, data.recording.time)
-        mark: dict[str, Any] = {"marker": ".", "ms": 1.0, "lw": 0.5, "alpha": 0.7}
-        axes.plot(*plane.project(line).T, color=theme.MUTED, zorder=3, **mark)
+        style: dict[str, Any] = {"color": theme.MUTED, "alpha": 0.7, "zorder": 3}
+        axes.plot(*plane.project(line).T, lw=0.5, **style)
+        many = len(line) > RASTERIZE_ABOVE
+        axes.plot(*plane.project(line).T, ".", ms=1.0, rasterized=many, **style)
         handles.append(_handle("path of the contact", color=theme.MUTED, lw=0.8))
     discs = _ellipses(axes, xy[touched], diameter, cmap=theme.SEQUENTIAL, linewidths=0)
     discs.set_array(counts[touched])

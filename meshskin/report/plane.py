@@ -17,7 +17,7 @@ JUMP = 5.0
 """Distance between two contacts, in the median one, from which it is interrupted."""
 LEAST_PITCH = 1e-3
 """Least distance between taxels, m, that drawings go by."""
-LONGEST = 4.0
+LONGEST = 2.5
 """Longest error line or semi-axis that is drawn, in that of a usual taxel: longer ones would cover
 their neighbours, and leave the map."""
 MAX_PATH_POINTS = 4000

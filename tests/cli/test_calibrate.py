@@ -226,7 +226,7 @@ def test_why_taxels_are_left_out_is_said(log, tmp_path, capsys):
     (tmp_path / "readings.csv").write_text("\n".join([head, *few]))
     asked = ["calibrate", str(tmp_path), *known(log), "--young-kpa", "150", "--contact", "hertz"]
     assert cli.main([*asked, "--out", str(tmp_path / "out")]) == 0
-    assert "left out         1 taxels: fewer than three readings" in capsys.readouterr().out
+    assert "left out         1 taxel: fewer than three readings" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -94,6 +94,13 @@ class BudgetReport(Card, Tabular):
     tolerance: float
     """Newton decrement at which the calibration may stop (`calibrate`'s tolerance)."""
 
+    def __repr__(self) -> str:
+        on = sum(entry.on for entry in self.entries)
+        return (
+            f"<BudgetReport: {on} of {len(self.entries)} on, {1e3 * self.check.shift:.3g} mm of "
+            f"{1e3 * self.budget:.3g} mm left out>"
+        )
+
     @property
     def fits(self) -> bool:
         """Whether the true error of what was left out is within the budget, and no taxel lost."""
