@@ -23,7 +23,7 @@ from matplotlib.collections import EllipseCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from .arrays import Array
+from .arrays import Array, means_by_group
 
 MM = 1e3
 """Millimetres per metre."""
@@ -151,11 +151,9 @@ def coarser(vertices: Array, faces: NDArray[np.intp]) -> tuple[Array, NDArray[np
     cell = ((vertices - low) * (CELLS / extent)).astype(np.int64)
     key = (cell[:, 0] * (CELLS + 1) + cell[:, 1]) * (CELLS + 1) + cell[:, 2]
     _, group = np.unique(key, return_inverse=True)
-    count = np.bincount(group)
-    mean = np.stack([np.bincount(group, vertices[:, k]) / count for k in range(3)], axis=1)
     corners = group[faces]
     a, b, c = corners.T
-    return mean, corners[(a != b) & (b != c) & (c != a)]
+    return means_by_group(vertices, group), corners[(a != b) & (b != c) & (c != a)]
 
 
 def _draw_body(ax: Axes, view: View, vertices: Array, faces: NDArray[np.intp]) -> None:

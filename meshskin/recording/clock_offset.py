@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..core.arrays import Array, runs
 
 LARGEST = 0.5
-"""Largest offset that is looked for, s: clocks that are synchronised at all, or stamps at receipt,
+"""Largest offset that is looked for, s: clocks that are synchronized at all, or stamps at receipt,
 are nearer."""
 COARSE, FINE = 4e-3, 5e-4
 """Steps, s, of the candidates: the first finds the peak, which is some tens of ms wide, the second

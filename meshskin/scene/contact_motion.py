@@ -61,7 +61,7 @@ class ContactMotion:
         return int(self.root.shape[1])
 
     def take(self, rows: np.ndarray) -> Self:
-        """That of the contacts `rows` (m,) bool. Raises ConfigError for another number of them."""
+        """The motion of the contacts `rows` (m,) bool. Raises ConfigError if m differs."""
         if len(rows) != len(self.slopes):
             raise ConfigError(
                 "a contact motion must have slopes of each contact of the recording",

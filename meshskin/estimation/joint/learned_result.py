@@ -23,6 +23,7 @@ from ..result import (
     EstimatorResult,
     LearnedResponse,
     name_rivals,
+    without,
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
@@ -108,7 +109,7 @@ def learned_result(
             *((CENSORING,) if (effects.selected[0].kind == CENSORED).any() else ()),
             SURFACE,
             *((SHARED_ERRORS.format(errors.where),) if added.any() else ()),
-            *((MISFITTING.format(len(data.misfitting)),) if len(data.misfitting) else ()),
+            *((without(len(data.misfitting), MISFITTING),) if len(data.misfitting) else ()),
         ),
         unknowns=_shared_values(effects, scale * shared),
         undetermined=_not_separable(effects, shared),

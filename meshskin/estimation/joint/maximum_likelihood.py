@@ -32,6 +32,7 @@ from ..result import (
     EstimatorResult,
     join_words,
     name_rivals,
+    without,
 )
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
@@ -280,11 +281,11 @@ def _factors(data: Measurements, fit: GoodnessOfFit) -> list[str]:
     if fit.good is False:
         factors.append(WIDENED.format(fit.reduced**0.5))
     if data.left_out:
-        factors.append(f"without {data.left_out} contacts in which the contact model does not hold")
+        factors.append(without(data.left_out, "in which the contact model does not hold"))
     if data.strays:
-        factors.append(f"without {data.strays} contacts that are not on the believed surface")
+        factors.append(without(data.strays, "off the believed surface"))
     if len(data.misfitting):
-        factors.append(MISFITTING.format(len(data.misfitting)))
+        factors.append(without(len(data.misfitting), MISFITTING))
     return factors
 
 

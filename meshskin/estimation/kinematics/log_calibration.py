@@ -48,7 +48,7 @@ class LogCalibration(Value, Card):
     heights: Array
     """Heights (m,), m, of the indenter over those of a contact, at the estimate."""
     heights_before: Array
-    """The same (m,), m, with all unknowns zero."""
+    """Heights (m,), m, over those of a contact, with all unknowns zero."""
     rounds: int
     """Number of times that the contacts were computed."""
     depth_factor: float = 1.0

@@ -56,7 +56,7 @@ class Finding:
     state: str
     """What became of it, one of `hypotheses.STATES`."""
     words: str
-    """The same with its values."""
+    """The state with its values, in words."""
     evidence: float
     """log10 of the mean likelihood ratio of the changes to no change."""
     false_alarm: float

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group, sums_by_group
 from ..chart import tangential_square
 from ..data import delay
 from ..data.registration import CELL, MIN_SCATTER
@@ -111,10 +111,9 @@ def local_means(data: Measurements, distance: Array) -> tuple[Array, Array]:
 def _middles(data: Measurements) -> Array:
     """Means (n, 3), m, of each taxel's contact points, weighted by pressure squared; those of all
     without readings."""
-    weight, n = data.pressure**2, len(data.ids)
-    total = np.bincount(data.taxel, weight, n)[:, None]
-    sums = sums_by_group(weight[:, None] * data.points[data.contact], data.taxel, n)
-    return np.where(total > 0, sums / np.maximum(total, 1e-300), data.points.mean(axis=0))
+    points, weight = data.points[data.contact], data.pressure**2
+    mean = means_by_group(points, data.taxel, len(data.ids), weight)
+    return np.where(np.isfinite(mean), mean, data.points.mean(axis=0))
 
 
 def _normal_variance(data: Measurements, distance: Array) -> Array:
@@ -129,21 +128,15 @@ def displacement(distance: Array, normals: Array) -> Array:
     """The displacement (3,), m, of contact points that explains their distances (m,), m, from a
     surface with normals (m, 3); zero where it is within SHIFT_SIGMAS of chance.
 
-    Single contacts far off the surface have no part in it.
+    Single contacts far off the surface have no part in it, nor what the distances do not show.
     """
-    return _visible(normals, distance)
-
-
-def _visible(columns: Array, distance: Array) -> Array:
-    """The combination (q,) of `columns` (m, q) that explains distances (m,), m, without what these
-    do not show and what is within SHIFT_SIGMAS of chance."""
     near = _sound(distance)
-    distance, columns = distance[near], columns[near]
-    value, vectors = np.linalg.eigh(columns.T @ columns)
-    good = value > MIN_SPREAD * len(columns)
+    distance, normals = distance[near], normals[near]
+    value, vectors = np.linalg.eigh(normals.T @ normals)
+    good = value > MIN_SPREAD * len(normals)
     basis = vectors[:, good] / np.sqrt(value[good])
-    along = basis.T @ (columns.T @ distance)
-    rest = float(np.sum(distance**2) - np.sum(along**2)) / max(len(distance) - columns.shape[1], 1)
+    along = basis.T @ (normals.T @ distance)
+    rest = float(np.sum(distance**2) - np.sum(along**2)) / max(len(distance) - 3, 1)
     along[np.abs(along) < SHIFT_SIGMAS * np.sqrt(max(rest, 0.0))] = 0.0
     return np.asarray(basis @ along)
 
@@ -184,7 +177,7 @@ class Motion:
 
     @classmethod
     def none(cls, points: Array) -> Motion:
-        """That of points (m, 3), m, which do not move."""
+        """No motion, about the middle of the points (m, 3), m."""
         return cls(points.mean(axis=0), np.zeros(3), np.zeros(3), 0.0, np.zeros((7, 7)))
 
     @classmethod

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.errors import StudyError
 from ...core.notebook import Card, Tabular
+from ...core.value import Value
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -23,7 +24,7 @@ MAX_LINES = 8
 
 
 @dataclass(frozen=True, eq=False)
-class StudyTable(Card, Tabular):
+class StudyTable(Value, Card, Tabular):
     """The results of a study: one row per case."""
 
     table: pa.Table

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, BinaryIO, NamedTuple, Protocol
 
 from ....core.errors import RecordingError
 
@@ -39,6 +39,14 @@ class Record(NamedTuple):
 
 class Torn(Exception):
     """The end of what can be read of a bag; the text says where and why."""
+
+
+def read_exactly(stream: BinaryIO, length: int) -> bytes:
+    """The next `length` bytes of a stream. Raises Torn if there are fewer."""
+    found = stream.read(length)
+    if len(found) < length:
+        raise Torn
+    return found
 
 
 class Bag(Protocol):

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ....core.errors import RecordingError
-from .records import MSG, Connection, Record, Torn
+from .records import MSG, Connection, Record, Torn, read_exactly
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, CHUNK, CONNECTION = 2, 5, 7
@@ -51,7 +51,7 @@ def records(path: Path) -> Iterator[Connection | Record | Torn]:
             try:
                 header = _header(stream)
                 operation = header["op"][0]
-                length = _LENGTH.unpack(_take(stream, 4))[0]
+                length = _LENGTH.unpack(read_exactly(stream, 4))[0]
                 if operation == CHUNK:
                     content = stream.read(length)
                     try:
@@ -64,7 +64,7 @@ def records(path: Path) -> Iterator[Connection | Record | Torn]:
                     if len(content) < length:
                         raise Torn
                 elif operation in (CONNECTION, MESSAGE):
-                    yield _record(operation, header, _take(stream, length))
+                    yield _record(operation, header, read_exactly(stream, length))
                 else:
                     stream.seek(length, 1)
             except DAMAGED as error:
@@ -76,7 +76,7 @@ def _chunk(content: bytes) -> Iterator[Connection | Record]:
     stream = BytesIO(content)
     while stream.tell() < len(content):
         header = _header(stream)
-        data = _take(stream, _LENGTH.unpack(_take(stream, 4))[0])
+        data = read_exactly(stream, _LENGTH.unpack(read_exactly(stream, 4))[0])
         if header["op"][0] in (CONNECTION, MESSAGE):
             yield _record(header["op"][0], header, data)
 
@@ -119,16 +119,8 @@ def _decompress(content: bytes, compression: str, path: Path) -> bytes:
     )
 
 
-def _take(stream: BinaryIO, length: int) -> bytes:
-    """That many bytes. Raises Torn if there are fewer."""
-    found = stream.read(length)
-    if len(found) < length:
-        raise Torn
-    return found
-
-
 def _header(stream: BinaryIO) -> dict[str, bytes]:
-    return _fields(_take(stream, _LENGTH.unpack(_take(stream, 4))[0]))
+    return _fields(read_exactly(stream, _LENGTH.unpack(read_exactly(stream, 4))[0]))
 
 
 def _fields(data: bytes) -> dict[str, bytes]:
