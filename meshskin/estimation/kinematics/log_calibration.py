@@ -1,4 +1,4 @@
-"""What a robot's log shows: its skin, the unknowns of the robot, and what contradicts the belief."""
+"""What a robot's log shows: its skin, unknowns of the robot, and what contradicts the belief."""
 
 from __future__ import annotations
 
