@@ -51,7 +51,7 @@ LIGHT = np.array([0.35, 0.55, 0.76])
 AMBIENT = 0.45
 """Brightness of a face along the light; one that faces it has 1."""
 LEAST_RANGE = 0.02
-"""Least range of a colour bar, relative to its end: smaller differences are not told apart."""
+"""Least range of a colour bar, relative to its end: smaller differences cannot be seen."""
 OUTLYING = 3.0
 """Range of the values, relative to that of 98 % of them, from which a colour bar leaves out the
 outermost 2 %, with arrows at its ends: a few values would take all colours."""

@@ -31,7 +31,7 @@ REFUSED = collision.HOLLOW, collision.EDGE, collision.SUPPORT, "does not hold"
 NOT_COVERED = "no contact passes near it"
 ONE_LINE = "contacts pass near it along one line only"
 SPARSE = NOT_COVERED, ONE_LINE
-"""Beginnings of the reasons that closer lanes mend."""
+"""Beginnings of the reasons that closer lanes remove."""
 
 
 Blocked = tuple[Array, Array]

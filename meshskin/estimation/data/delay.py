@@ -36,7 +36,7 @@ MAX_BELOW = 0.03
 to that by which they exceed it, up to which there can be such a filter: noise leaves 0.01 to 0.05.
 """
 MIN_USED = 0.5
-"""Least part of the readings that have a contact in time at a delay: fewer do not tell of it."""
+"""Least part of the readings that have a contact in time at a delay: fewer do not show it."""
 PAUSE = 3.0
 """Time between contacts, in typical frames times their difference, from which there is a pause."""
 

@@ -136,7 +136,7 @@ def learned_result(
 
 
 def _few_readings(effects: RandomEffects) -> Array:
-    """Factors (n,) of the taxels' variances where few readings tell of their four unknowns: the
+    """Factors (n,) of the taxels' variances where few readings determine their four unknowns: the
     variances of gains, offsets and contacts are taken as known, and so is the linearization."""
     readings = effects.readings
     count = np.bincount(readings.taxel, readings.kind == OBSERVED, len(effects.unknowns.nuisance))

@@ -1,4 +1,4 @@
-"""What a robot's log told: its skin, the unknowns of the robot, and what contradicts the belief."""
+"""What a robot's log shows: its skin, unknowns of the robot, and what contradicts the belief."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ or a force that is wrong by a factor of 3, from which the verdict doubts E*."""
 
 @dataclass(frozen=True, eq=False)
 class LogCalibration(Value, Card):
-    """A calibrated skin, and what the log told of the robot."""
+    """A calibrated skin, and what the log shows of the robot."""
 
     calibration: Calibration
     """The skin; the robot's unknowns are among `calibration.unknowns`."""
@@ -57,7 +57,7 @@ class LogCalibration(Value, Card):
     """What an error of each joint that varies with its angle would explain of `heights`."""
 
     def facts(self) -> dict[str, str]:
-        """The facts of the calibration, and what the log told of the robot, for a notebook."""
+        """The facts of the calibration, and what the log shows of the robot, for a notebook."""
         before, after = self.heights_mm
         heights = f"{before:.3g} mm off the body before, {after:.2g} mm after the estimate"
         facts = {**self.calibration.facts(), "contacts": heights}

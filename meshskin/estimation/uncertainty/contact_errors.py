@@ -1,9 +1,9 @@
 """Errors of the body, of the kinematics and of the clocks, as the contact points show them.
 
-Estimates rest on the believed surface and on the recorded contact points. No reading shows a body
-that is too large, a dent, or contact points that are all displaced: the distances of the contact
-points from the believed surface do. Nor does the spread of the residuals show how far a delay of
-the readings displaces a taxel: the path of the contact points does.
+Estimates rest on the believed surface and on the recorded contact points. The readings do not show
+a body that is too large, a dent, or contact points that are all displaced; the distances of the
+contact points from the believed surface show them. The spread of the residuals does not show how
+far a delay of the readings displaces a taxel; the path of the contact points shows it.
 """
 
 from __future__ import annotations

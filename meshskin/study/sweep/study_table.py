@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 USUAL = "position_error_mm.mean"
 """The result that a figure shows where the study has it."""
 MAX_LINES = 8
-"""Lines of a figure: more cannot be told apart."""
+"""Lines of a figure: more cannot be distinguished."""
 
 
 @dataclass(frozen=True, eq=False)
