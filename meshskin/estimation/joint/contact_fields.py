@@ -20,7 +20,7 @@ from .departures import FittedReadings
 
 LENGTHS = (0.5, 1.0, 2.0)
 """Lengths over which a field is correlated that are tried, in reaches of a contact."""
-MIN_WAVES, MAX_WAVES, VALUES = 8, 32, 2_000_000
+MIN_WAVES, MAX_WAVES, VALUES = 8, 128, 2_000_000
 """Cosines of a field: as many as have about VALUES derivatives of the readings, within limits."""
 UNIT, LARGEST = 0.01, 100.0
 """Deviation of the fields that are compared, in reaches, and the largest one, in these: a reach."""
