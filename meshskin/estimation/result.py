@@ -20,10 +20,8 @@ SHARED_ERRORS = "errors that readings of contacts near one another {} share"
 """Factor of an estimate whose standard deviations hold such errors."""
 ALIKE_CONTACTS = "errors of the contact points that are alike over the body"
 """Factor of an estimate whose standard deviations hold a field of such errors."""
-MISFITTING = (
-    "without {} contacts whose readings fit no others: bumps, jumps of the curvature, wrong points"
-)
-"""Factor of an estimate that some contacts were left out of."""
+MISFITTING = "whose readings fit no others: bumps, jumps of the curvature, wrong points"
+"""What contacts are that some estimates leave out (`without`)."""
 CENSORING = "silent readings, censored at the threshold"
 """Factor of an estimate with known noise."""
 CONTACT_POINTS = (
@@ -33,6 +31,24 @@ CONTACT_POINTS = (
 """The gauge of an estimate that rests on the recorded contact points."""
 SURFACE = "body surface: position along the normal and tilt"
 """The factor of an estimate whose taxels lie on the believed surface."""
+
+
+def name_rivals(faults: np.ndarray, rows: np.ndarray, points: Array, rivals: Array) -> None:
+    """Add the second positions `rivals` (k, 3), m, NaN where there is none, of the taxels `rows`
+    (k,) at `points` (k, 3), m, to their faults (n,)."""
+    distance = np.linalg.norm(rivals - points, axis=1)
+    for k in np.flatnonzero(np.isfinite(distance)):
+        faults[rows[k]] = join_words(faults[rows[k]], RIVAL.format(1e3 * distance[k]))
+
+
+def join_words(*words: str) -> str:
+    """Several faults of a taxel as one text; empty ones are left out."""
+    return ", ".join(filter(None, words))
+
+
+def without(count: int, what: str) -> str:
+    """Factor of an estimate that `count` contacts, which are `what`, were left out of."""
+    return f"without {count} contact{'s' * (count > 1)} {what}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -169,7 +169,7 @@ class Measurements:
 
     @cached_property
     def typical_curvature(self) -> float:
-        """That, 1/m, which a learned response refers to: the median."""
+        """Median of `relative_curvature`, 1/m: a learned response refers to it."""
         median = np.median(self.relative_curvature)
         return float(median) if self.references is None else self.references[0]
 

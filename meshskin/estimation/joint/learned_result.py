@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from ...contact.learned import ProfileCorrection
-from ...core.arrays import Array
+from ...core.arrays import Array, spread_rows
+from ..chart import tangential_square
 from ..data.global_parameters import DEPARTURES, MOTION
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
@@ -18,11 +19,12 @@ from ..result import (
     CENSORING,
     MISFITTING,
     MOSTLY_OUTLIERS,
-    RIVAL,
     SHARED_ERRORS,
     SURFACE,
     EstimatorResult,
     LearnedResponse,
+    name_rivals,
+    without,
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
@@ -63,10 +65,7 @@ def learned_result(
     data, u, live = effects.data, effects.unknowns, estimator.live
 
     def spread(values: Array, missing: object) -> Array:
-        out = np.empty((len(data.ids), *values.shape[1:]))
-        out[:] = missing
-        out[live] = values
-        return out
+        return spread_rows(values, live, len(data.ids), missing)
 
     covariance, shared = effects.system().covariances()
     variances = np.diagonal(covariance, axis1=1, axis2=2)
@@ -81,7 +80,6 @@ def learned_result(
     scale = max(misfit, fewer_contacts(response.contact_correlation), response.alike_contacts)
     points, rotations = u.parametrization.points(), u.parametrization.rotations()
     apart = np.nan_to_num(rivals.points - points)
-    apart = np.einsum("kij,ki->kj", rotations[:, :, :2], apart)
     fitted = effects.fitted()
     errors, own = shared_errors(fitted), misfit * covariance[:, :2, :2]
     added = errors.covariances(fitted)
@@ -90,7 +88,7 @@ def learned_result(
     tangential = larger(scale * covariance[:, :2, :2], own + added)
     tangential = larger(tangential, own + fields.covariances)
     tangential *= _few_readings(effects)[:, None, None]
-    tangential += _leaks(effects) + apart[:, :, None] * apart[:, None, :]
+    tangential += _leaks(effects) + tangential_square(rotations[:, :, :2], apart)
     lost, reasons = estimator.broken, reasons.copy()
     reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
     infinite = np.diag([np.inf, np.inf])
@@ -101,9 +99,7 @@ def learned_result(
     count = np.bincount(effects.readings.taxel, effects.readings.kind == OBSERVED, len(live))
     square = np.bincount(effects.readings.taxel, r, len(live))
     faults = estimator.faults.copy()
-    for k in np.flatnonzero(np.isfinite(rivals.points[:, 0])):
-        words = RIVAL.format(1e3 * float(np.linalg.norm(apart[k])))
-        faults[live[k]] = ", ".join(filter(None, (faults[live[k]], words)))
+    name_rivals(faults, live, points, rivals.points)
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, points), np.nan),
         rotations=spread(rotations, np.nan),
@@ -118,7 +114,7 @@ def learned_result(
             SURFACE,
             *((SHARED_ERRORS.format(errors.where),) if added.any() else ()),
             *((ALIKE_CONTACTS,) if fields.covariances.any() else ()),
-            *((MISFITTING.format(len(data.misfitting)),) if len(data.misfitting) else ()),
+            *((without(len(data.misfitting), MISFITTING),) if len(data.misfitting) else ()),
         ),
         unknowns=_shared_values(effects, scale * shared),
         undetermined=_not_separable(effects, shared),
@@ -145,7 +141,7 @@ def learned_result(
 
 
 def _few_readings(effects: RandomEffects) -> Array:
-    """Factors (n,) of the taxels' variances where few readings tell of their four unknowns: the
+    """Factors (n,) of the taxels' variances where few readings determine their four unknowns: the
     variances of gains, offsets and contacts are taken as known, and so is the linearization."""
     readings = effects.readings
     count = np.bincount(readings.taxel, readings.kind == OBSERVED, len(effects.unknowns.nuisance))
