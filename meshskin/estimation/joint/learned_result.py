@@ -15,7 +15,6 @@ from ..data.global_parameters import DEPARTURES, MOTION
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
     CENSORING,
-    MISFITTING,
     MOSTLY_OUTLIERS,
     RIVAL,
     SHARED_ERRORS,
@@ -113,7 +112,7 @@ def learned_result(
             *((CENSORING,) if (effects.selected[0].kind == CENSORED).any() else ()),
             SURFACE,
             *((SHARED_ERRORS.format(errors.where),) if added.any() else ()),
-            *((MISFITTING.format(len(data.misfitting)),) if len(data.misfitting) else ()),
+            *data.excluded,
         ),
         unknowns=_shared_values(effects, scale * shared),
         undetermined=_not_separable(effects, shared),

@@ -25,7 +25,6 @@ from ..data.global_parameters import RADIUS_TOLERANCE, radius_deviation
 from ..data.measurements import Measurements
 from ..result import (
     CENSORING,
-    MISFITTING,
     MOSTLY_OUTLIERS,
     RIVAL,
     SHARED_ERRORS,
@@ -232,12 +231,7 @@ def _result(
         silent += (ESTIMATED_NOISE.format(data.noise, data.noise_pairs),)
     if fit.good is False:
         silent += (WIDENED.format(fit.reduced**0.5),)
-    if data.left_out:
-        silent += (f"without {data.left_out} contacts in which the contact model does not hold",)
-    if data.strays:
-        silent += (f"without {data.strays} contacts that are not on the believed surface",)
-    if len(data.misfitting):
-        silent += (MISFITTING.format(len(data.misfitting)),)
+    silent += data.excluded
     sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
     groups = np.arange(parametrization.count)
     units = [1.0 if name == "gain" else data.sigma for name in parameters.nuisance_names]

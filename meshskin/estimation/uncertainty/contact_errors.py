@@ -19,6 +19,7 @@ from ...core.arrays import Array, sums_by_group
 from ..data import delay
 from ..data.registration import CELL, MIN_SCATTER
 from ..trilateration.displacements import surface_motion
+from . import swapped_axes
 from .tilts import tilts
 
 if TYPE_CHECKING:
@@ -34,6 +35,10 @@ GROSS = 10.0
 TRIALS, RATIO = 25, 1.0
 """Standard deviations of a motion that are tried, a factor of 1.33 apart, and that of the logarithm
 of the ratio of its turn's to that of its shift."""
+SURFACE_DEPTHS = 0.1, 1.5
+"""Typical distance of the contact points from the believed surface, in depths of the indentation,
+from which it is a doubt, and a failure: recorded points lie between the undeformed surface and the
+indenter's deepest point. The doubt is a tenth of the depth, 0.2 mm for the paper's skin."""
 MAX_LEFT = 0.1
 """Mean square of the taxels' mean distances that a displacement of the contact points may leave, in
 relation to that without it, beyond scatter: more is dents of the body."""
@@ -52,28 +57,25 @@ def systematic_covariance(
     (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators; jump (3,), m: displacement of
     the contacts in a part of the recording.
     """
-    points, moved = data.points, data.points + offsets(data, unknowns)
-    hit, moved_hit = data.body.closest(points), data.body.closest(moved)
-    # readings do not show an offset along the normals: where it explains no distance, it is none
-    if np.sum(moved_hit.distance**2) < np.sum(hit.distance**2):
-        points, hit = moved, moved_hit
-    tangents = rotations[:, :, :2]
-    sideways = motion(data, points, hit.distance, hit.normal).squares(_middles(data))
-    tangential = np.swapaxes(tangents, 1, 2) @ sideways @ tangents
+    points, middles = nearer_points(data, unknowns), _middles(data)
+    hit, tangents = data.body.closest(points), rotations[:, :, :2]
+    sideways = motion(data, points, hit.distance, hit.normal).squares(middles)
+    sideways += _late_squares(data)
+    swapped = swapped_axes.nearer_axes(data, points).displacements(middles)
+    moves = [swapped]
     if jump is not None:
-        apart = np.einsum("nia,i->na", tangents, jump)
-        tangential += apart[:, :, None] * apart[:, None, :]
+        moves.append(np.broadcast_to(jump, middles.shape))
     if data.belief.surface_sigma > 0.0:
-        wider = data.belief.surface_sigma * _growth(data, _middles(data))
-        apart = np.einsum("nia,ni->na", tangents, wider)
-        tangential += apart[:, :, None] * apart[:, None, :]
-    tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
+        moves.append(data.belief.surface_sigma * _growth(data, middles))
     if data.parameters.motion is not None:
-        tilted = np.einsum("nia,ni->na", tangents, tilts(data, hit.point, hit.distance))
-        tangential += tilted[:, :, None] * tilted[:, None, :]
+        moves.append(tilts(data, hit.point, hit.distance))
+    for moved in moves:
+        sideways += moved[:, :, None] * moved[:, None, :]
+    tangential = np.swapaxes(tangents, 1, 2) @ sideways @ tangents
     into = surface_motion(shape)
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
     out[:, 2, 2] += _normal_variance(data, hit.distance) + data.belief.surface_sigma**2
+    out[:, 2, 2] += np.einsum("ni,ni->n", rotations[:, :, 2], swapped) ** 2
     return out
 
 
@@ -255,9 +257,11 @@ def _effective_variance(rest: Array, points: Array) -> float:
 def motion(data: Measurements, points: Array, distance: Array, normals: Array) -> Motion:
     """The motion of the contact points (m, 3) that displaces the taxels, too.
 
-    It is none where it does not explain the distances (m,), m, and where a body of another size,
-    scaled or offset along its normals, explains them better: its taxels are where the contacts are.
-    One with turn and scale must leave a tenth of what the simpler ones leave.
+    It is none where a body of another size, scaled or offset along its normals, explains the
+    distances (m,), m, better: its taxels are where the contacts are. One with turn and scale must
+    leave a tenth of what the simpler ones leave. Distances that none of these explains are dents of
+    the body; where they are as large as a failure of the verdict, or would ask for such a
+    displacement, the points may be anywhere on the body: its extents are the covariance.
     """
     shift = displacement(distance, normals)
 
@@ -270,15 +274,29 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     for size in (np.ones(len(distance)), np.einsum("mi,mi->m", points, normals)):
         rests.append(distance - (size @ distance) / max(float(size @ size), 1e-300) * size)
     squares = [float(np.sum(rest**2)) for rest in rests]
-    whole, (simple, scatter) = left(distance)[0], left(rests[int(np.argmin(squares))])
+    simple, scatter = left(rests[int(np.argmin(squares))])
+    dented = simple > MAX_LEFT * left(distance)[0] + scatter
     facets = getattr(data.body, "facets", None)  # an exact surface has none
     corners = points if facets is None else facets.vertices
     bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
     found = Motion.explaining(bounds, points, distance, normals)
     if sum(left(distance - np.sum(normals * found.at(points), axis=1))) < MAX_LEFT * simple:
         return found
-    moves = squares[0] < min(squares[1:]) and simple <= MAX_LEFT * whole + scatter
-    return found if moves else Motion.none(points)
+    if squares[0] < min(squares[1:]) and not dented:
+        return found
+    none = Motion.none(points)
+    size = max(float(np.median(np.abs(distance))), float(np.linalg.norm(shift)))
+    if dented and size > SURFACE_DEPTHS[1] * data.indentation:
+        none.covariance[:3, :3] = float(np.sum(np.ptp(bounds, axis=0) ** 2)) / 12 * np.eye(3)
+    return none
+
+
+def nearer_points(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> Array:
+    """The contact points (m, 3), m, moved by the estimated offsets where these bring them nearer to
+    the surface: readings do not show an offset along the normals, which then is none."""
+    points, moved = data.points, data.points + offsets(data, unknowns)
+    before, after = (np.sum(data.body.closest(p).distance ** 2) for p in (points, moved))
+    return moved if after < before else points
 
 
 def offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> Array:
