@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -105,3 +106,11 @@ def test_import_is_light():
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     heavy = {"casadi", "trimesh", "scipy", "matplotlib", "pyarrow", "adam", "plotly", "embreex"}
     assert not heavy & set(out.stdout.split())
+
+
+def test_the_text_of_each_mutant_occurs_once():
+    """tests/mutation.py replaces it; see there."""
+    table = tomllib.loads(Path(__file__).with_name("mutants.toml").read_text(encoding="utf-8"))
+    for mutant in table["mutant"]:
+        text = (PACKAGE.parent / mutant["file"]).read_text(encoding="utf-8")
+        assert text.count(mutant["old"]) == 1, mutant

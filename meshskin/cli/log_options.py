@@ -19,7 +19,7 @@ from .log import add_scan, summary
 if TYPE_CHECKING:
     from ..core.progress import Progress
     from ..estimation.calibration import Calibration
-    from ..estimation.kinematics.calibrate_log import LogCalibration
+    from ..estimation.kinematics.log_calibration import LogCalibration
     from ..recording.recording import Recording
     from ..recording.skin_log import SkinLog
     from ..robot.robot import Robot
@@ -77,7 +77,7 @@ class FromLog:
         return None if self.joints is None else self.joints.calibration
 
 
-def from_log(options: argparse.Namespace, progress: Progress | None = None) -> FromLog:
+def from_log(options: argparse.Namespace, progress: Progress | None) -> FromLog:
     """The log of --map on one clock, with its contacts; where these follow from joint angles, they
     are calibrated with the taxels. progress: as of `calibrate`. Raises RecordingError,
     ConfigError, CalibrationError.

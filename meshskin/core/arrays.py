@@ -25,10 +25,29 @@ def cross(a: Array, b: Array) -> Array:
     return np.asarray(a[..., _NEXT] * b[..., _AFTER] - a[..., _AFTER] * b[..., _NEXT])
 
 
+HUBER = 1.5
+"""Residual, in standard deviations, beyond which its Huber weight decreases: 95 % efficient without
+outliers (Huber, "Robust Statistics", 1981)."""
+
+
+def huber_weights(r: Array, sigma: float) -> Array:
+    """Huber's weights (m,), in units of 1 / sigma^2, of residuals (m,) of standard deviation
+    `sigma`."""
+    return np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(r), 1e-300)) / sigma**2
+
+
 def robust_sigma(values: Array) -> float:
     """Standard deviation of normal variables of mean zero by the median of their sizes, which a
     minority of others hardly changes. values (n,), one or more."""
     return float(np.median(np.abs(values))) / MAD
+
+
+def spread_rows(values: Array, rows: Index, count: int, missing: object) -> Array:
+    """An array (count, ...) with the `values` (k, ...) at the `rows` (k,), elsewhere `missing`."""
+    out = np.empty((count, *values.shape[1:]))
+    out[:] = missing
+    out[rows] = values
+    return out
 
 
 def ranges(first: Index, count: Index) -> Index:
@@ -50,6 +69,18 @@ def sums_by_group(values: Array, group: NDArray[np.integer], groups: int = 0) ->
     flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
     sums = np.stack([np.bincount(group, column, groups) for column in flat.T], axis=1, dtype=float)
     return sums.reshape(len(sums), *values.shape[1:])
+
+
+def means_by_group(
+    values: Array, group: NDArray[np.integer], groups: int = 0, weight: Array | None = None
+) -> Array:
+    """Means (m, ...) of the rows of `values` (k, ...) that have the same number in `group` (k,),
+    m as of `sums_by_group`, by default of equal `weight` (k,); NaN where a group has no weight."""
+    weight = np.ones(len(values)) if weight is None else weight
+    axes = (-1, *[1] * (values.ndim - 1))
+    total = np.bincount(group, weight, groups).reshape(axes)
+    with np.errstate(invalid="ignore"):
+        return sums_by_group(weight.reshape(axes) * values, group, groups) / total
 
 
 def rows_by_key(keys: NDArray[Any]) -> list[Index]:

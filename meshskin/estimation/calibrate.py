@@ -81,7 +81,7 @@ class Estimation:
         return replace(found, verdict=verdict, seconds={**found.seconds, **more})
 
     @single_threaded()
-    def without_verdict(self, method: str, progress: Progress | None = None) -> Calibration:
+    def without_verdict(self, method: str, progress: Progress | None) -> Calibration:
         """The calibration by a method, for comparison with others; errors as `calibrate`."""
         return self._estimated(method, stage=Stage(progress, "calibrate"))[0]
 

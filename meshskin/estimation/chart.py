@@ -101,6 +101,13 @@ def frames(normals: Array) -> Array:
     return align_normals(orthonormal_basis(mean, perpendicular(mean)), normals)
 
 
+def tangential_square(tangents: Array, apart: Array) -> Array:
+    """Outer products (n, 2, 2), m^2, of displacements `apart` (n, 3), m, along the tangents
+    (n, 3, 2): what they add to covariances there as standard deviations."""
+    along = np.einsum("nij,ni->nj", tangents, apart)
+    return np.asarray(along[:, :, None] * along[:, None, :])
+
+
 def poses(points: Array, rotations: Array) -> Array:
     """Poses (n, 4, 4); NaN where the point is NaN."""
     return transform(np.where(np.isfinite(points)[:, :1, None], rotations, np.nan), points)

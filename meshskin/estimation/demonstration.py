@@ -18,6 +18,8 @@ from ..core.provenance import random_stream
 from ..recording.recording import Recording
 from .posegraph import PoseGraph
 
+SIGMA, ROTATION_SIGMA = 1e-3, 0.02
+"""Standard deviations of the noise of the displacements, m and rad."""
 MIN_SHARED = 3
 """Contacts that two taxels must share for a displacement between them: three circles."""
 
@@ -32,8 +34,6 @@ class Demonstration:
     """Positions (k, j, 3) along the iterations, all at the origin first, m."""
     rows: NDArray[np.int64]
     """Rows (j,) of the skin that the graph holds."""
-    optimal: bool
-    """Whether the last iterate is a minimum by its own gradient and Hessian."""
 
     @property
     def mean_error(self) -> float:
@@ -81,13 +81,11 @@ def demonstrate(
     ids: NDArray[np.int64],
     recording: Recording,
     seed: int = 0,
-    sigma: float = 1e-3,
-    rotation_sigma: float = 0.02,
 ) -> Demonstration:
     """Solve the perturbed graph of the true `poses` (n, 4, 4) of the taxels `ids` from the origin.
 
-    sigma, m, and rotation_sigma, rad: noise of the displacements. Each iterate is aligned rigidly
-    with the truth. Raises CalibrationError if fewer than half of the taxels were active together.
+    The displacements have noise of SIGMA and ROTATION_SIGMA. Each iterate is aligned rigidly with
+    the truth. Raises CalibrationError if fewer than half of the taxels were active together.
     """
     pairs = coactive_pairs(recording, ids)
     rows, local = np.unique(pairs, return_inverse=True)
@@ -100,15 +98,15 @@ def demonstrate(
     graph = perturbed_graph(
         poses[rows],
         local.reshape(-1, 2),
-        sigma,
-        rotation_sigma,
+        SIGMA,
+        ROTATION_SIGMA,
         random_stream(seed, "demonstration"),
     )
     solution = graph.solve(start="origin", keep_iterates=True)
     assert solution.iterates is not None
     truth = poses[rows, :3, 3]
     iterates = np.stack([aligned(p[:, :3, 3], truth) for p in solution.iterates])
-    return Demonstration(truth, iterates, rows, solution.is_optimal)
+    return Demonstration(truth, iterates, rows)
 
 
 def aligned(estimate: Array, truth: Array) -> Array:

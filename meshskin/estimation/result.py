@@ -29,6 +29,19 @@ SURFACE = "body surface: position along the normal and tilt"
 """The factor of an estimate whose taxels lie on the believed surface."""
 
 
+def name_rivals(faults: np.ndarray, rows: np.ndarray, points: Array, rivals: Array) -> None:
+    """Add the second positions `rivals` (k, 3), m, NaN where there is none, of the taxels `rows`
+    (k,) at `points` (k, 3), m, to their faults (n,)."""
+    distance = np.linalg.norm(rivals - points, axis=1)
+    for k in np.flatnonzero(np.isfinite(distance)):
+        faults[rows[k]] = join_words(faults[rows[k]], RIVAL.format(1e3 * distance[k]))
+
+
+def join_words(*words: str) -> str:
+    """Several faults of a taxel as one text; empty ones are left out."""
+    return ", ".join(filter(None, words))
+
+
 @dataclass(frozen=True, eq=False)
 class LearnedResponse(Value):
     """The learned response of the taxels, at the median force, in the unit of the readings."""

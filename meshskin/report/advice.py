@@ -25,16 +25,18 @@ with 100 readings, a usual number."""
 OUTLYING_CHI2 = 3.0
 """A reduced chi-square this many times the median is not noise: with 10 degrees of freedom its
 probability is below 1e-3."""
+SHOWN_IDS = 20
+"""Largest number of ids in a list."""
 MODEL_ERROR_RATIO = 1.5
 """A mean error this many times the Cramér-Rao bound is not noise alone: the ratio has a standard
 deviation of 6 % with 80 taxels."""
 
 
-def format_ids(ids: Iterable[object], most: int = 20) -> str:
+def format_ids(ids: Iterable[object]) -> str:
     """Ids as text, such as "3, 17, 41 and 5 more"."""
     names = [str(k) for k in ids]
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    more = f" and {len(names) - SHOWN_IDS} more" if len(names) > SHOWN_IDS else ""
+    return ", ".join(names[:SHOWN_IDS]) + more
 
 
 def _named(ids: np.ndarray) -> str:

@@ -78,7 +78,7 @@ class Iterations:
         truth: Skin | None,
         demonstration: Demonstration | None,
     ) -> Iterations | None:
-        """Those of the demonstration, or else of the first pose graph that kept its iterates."""
+        """Iterates of the demonstration, or else of the first pose graph that kept them."""
         if demonstration is not None:
             return cls(demonstration.iterates, demonstration.truth, True, True)
         for c in calibrations:

@@ -95,12 +95,6 @@ class Chain:
             pose = pose @ dh_pose(*row)
         return cls(tuple(names), tuple(joints), pose)
 
-    def with_offsets(self, offsets: ArrayLike) -> Chain:
-        """This chain with `offsets` (k,), rad or m, added to every reading of the angles."""
-        added = self._check("offsets", offsets, 1)
-        joints = (replace(j, offset=j.offset + j.multiplier * added[j.column]) for j in self.joints)
-        return replace(self, joints=tuple(joints))
-
     def with_tip(self, pose: ArrayLike) -> Chain:
         """This chain to another frame, at the rigid `pose` (4, 4), m, in the tip of this one."""
         if not is_rigid(pose):
@@ -109,7 +103,7 @@ class Chain:
 
     def poses(self, angles: ArrayLike) -> Array:
         """T_base_tip (n, 4, 4), m, at joint angles (n, k), rad. Raises ArmError."""
-        return np.asarray(self._forward(self._check("angles", angles, 2))[-1] @ self.end)
+        return np.asarray(self._forward(self._check(angles))[-1] @ self.end)
 
     def jacobian(self, angles: ArrayLike) -> Array:
         """How the tip moves with the joint angles or their offsets, (n, 6, k), at angles (n, k).
@@ -117,7 +111,7 @@ class Chain:
         Velocity of the tip's origin, m/rad, over the angular velocity, rad/rad, in the axes of the
         base, as `Arm.jacobian`. Raises ArmError.
         """
-        q = self._check("angles", angles, 2)
+        q = self._check(angles)
         moved = self._forward(q)
         tip = (moved[-1] @ self.end)[:, :3, 3]
         out = np.zeros((len(q), 6, len(self.joint_names)))
@@ -137,17 +131,16 @@ class Chain:
             moved.append(moved[-1] @ joint.origin @ joint.motions(angles))
         return moved
 
-    def _check(self, what: str, values: ArrayLike, dimensions: int) -> Array:
-        """The values as an array whose last axis is the angles. Raises ArmError."""
-        array = check_array(what, values, error=ArmError)
+    def _check(self, angles: ArrayLike) -> Array:
+        """The angles as an array (n, k). Raises ArmError."""
+        array = check_array("angles", angles, error=ArmError)
         k = len(self.joint_names)
-        if array.ndim != dimensions or array.shape[-1] != k:
-            limit = f"({'n, ' if dimensions == 2 else ''}{k}{',' if dimensions == 1 else ''})"
+        if array.ndim != 2 or array.shape[1] != k:
             raise ArmError(
-                f"the shape of {what} of a chain is wrong", value=array.shape, limit=limit
+                "the shape of angles of a chain is wrong", value=array.shape, limit=f"(n, {k})"
             )
         if not np.isfinite(array).all():
-            raise ArmError(f"{what} of a chain must be finite")
+            raise ArmError("angles of a chain must be finite")
         return array
 
 

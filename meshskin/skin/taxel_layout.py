@@ -41,7 +41,7 @@ def sites(
     count: int | None,
     disc_radius: float,
     seed: int,
-    progress: Progress | None = None,
+    progress: Progress | None,
 ) -> Lattice:
     """The lattice sites of `Skin.cover`, which see. Raises SkinError."""
     stage = Stage(progress, "cover", USUAL_STEPS)

@@ -413,7 +413,7 @@ def test_iterations_come_from_the_demonstration_or_a_pose_graph(case: SimpleName
     found = collect(graph, None).iterations
     assert found is not None
     assert not found.has_truth
-    shown = Demonstration(np.zeros((3, 3)), np.ones((2, 3, 3)), np.arange(3), True)
+    shown = Demonstration(np.zeros((3, 3)), np.ones((2, 3, 3)), np.arange(3))
     found = collect(graph, None, shown).iterations
     assert found is not None
     assert found.is_demonstration

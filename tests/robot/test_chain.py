@@ -99,8 +99,6 @@ def test_a_mimic_joint_follows_its_driver(tmp_path):
     slide = transform(Rotation.from_euler("xyz", [0, 0.4, 0]).as_matrix(), [0.3, 0, 0])
     slide = slide @ transform(np.eye(3), (-0.5 * q + 0.02) * np.array([1, 1, 0]) / np.sqrt(2))
     np.testing.assert_allclose(chain.poses([[q]])[0], turn @ slide, atol=1e-15)
-    shifted = chain.with_offsets([0.1])
-    np.testing.assert_allclose(shifted.poses([[q]]), chain.poses([[q + 0.1]]), atol=1e-15)
 
 
 def test_rows_of_denavit_and_hartenberg_are_their_product():
@@ -188,7 +186,6 @@ def test_taxels_of_a_link_in_the_frame_of_another(tmp_path):
         (lambda: Chain.from_dh([(0, np.nan, 0, 0)]), "must be finite"),
         (lambda: Chain.from_dh(NAO_ARM, names=["a"]), "limit: 5 different names"),
         (lambda: Chain.from_dh(NAO_ARM).poses(np.zeros(5)), r"limit: \(n, 5\)"),
-        (lambda: Chain.from_dh(NAO_ARM).with_offsets([1.0]), r"got \(1,\), limit: \(5,\)"),
         (lambda: Chain.from_dh(NAO_ARM).poses([[0, 0, np.inf, 0, 0]]), "must be finite"),
         (lambda: Chain.from_dh(NAO_ARM).with_tip(np.zeros((4, 4))), "rigid transform"),
         (lambda: ms.Robot.from_urdf("nowhere.urdf"), "cannot read the robot 'nowhere.urdf'"),

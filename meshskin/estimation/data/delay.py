@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group
 from .measurements import Measurements
 
 LATE_FRAMES = 5
@@ -27,8 +27,16 @@ moved that they are late: 10 of 10 taxels, 55 of 80."""
 KEPT = (0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
 """Parts of the last reading that a low-pass filter keeps which are tried: time constants of 0.8 to
 20 frames."""
+SKEWED = 0.1
+"""Sum of the cubed changes of readings from frame to frame, relative to that of their sizes, from
+which readings rise faster than they fall, as behind a low-pass filter: 0.1 to 0.9 of filters whose
+lag is that of a fifth of a patch and more, -0.07 to 0.13, of either sign, of contacts alone."""
+MAX_BELOW = 0.03
+"""Mean square by which readings fall below the part of the last one that a filter keeps, relative
+to that by which they exceed it, up to which there can be such a filter: noise leaves 0.01 to 0.05.
+"""
 MIN_USED = 0.5
-"""Least part of the readings that have a contact in time at a delay: fewer do not tell of it."""
+"""Least part of the readings that have a contact in time at a delay: fewer do not show it."""
 PAUSE = 3.0
 """Time between contacts, in typical frames times their difference, from which there is a pause."""
 
@@ -44,7 +52,7 @@ def late_frames(data: Measurements) -> int:
     if not data.counts.any() or np.median(data.counts[data.counts > 0]) < MIN_READINGS:
         return 0
     level = np.maximum(data.pressure - data.rest[data.taxel], 0.0)
-    before = _reading_before(data, level)
+    before, last = _neighbours(data, level)
 
     def compare(frames: int, kept: float = 0.0) -> tuple[float, float]:
         """Of the readings moved and without a filter, and as they are: `comparison` of the spreads.
@@ -58,45 +66,67 @@ def late_frames(data: Measurements) -> int:
         present = spreads(data.points[data.contact[used]], level[used] ** 2, data.taxel[used])
         return comparison(moved, present)
 
-    def best(kept: float) -> dict[int, float]:
-        at = {k: compare(k, kept)[0] for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
-        frames = min(at, key=lambda k: at[k])
-        step = int(np.sign(frames))
-        while (
-            abs(frames) >= LATE_FRAMES and (beyond := compare(frames + step, kept)[0]) < at[frames]
-        ):
-            frames += step
-            at[frames] = beyond
-        return at
-
-    found = best(0.0)
+    found = {k: compare(k)[0] for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
     late = min(found, key=lambda k: found[k])
+    step = int(np.sign(late))
+    while abs(late) >= LATE_FRAMES and (beyond := compare(late + step)[0]) < found[late]:
+        late += step
+        found[late] = beyond
     if found[late] >= LATE_GAIN or compare(late)[1] >= CHANCE:
         return 0
-    filtered = {k: min(compare(k, kept)[0] for kept in KEPT) for k in found}
+    if not (parts := _possible_filters(data.taxel, level, before, last)):
+        return late
+    filtered = {k: min(compare(k, kept)[0] for kept in parts) for k in found}
     if (least := min(filtered.values())) >= LATE_GAIN * found[late]:
         return late
     return min((k for k in filtered if LATE_GAIN * filtered[k] <= least), key=abs)
 
 
-def _reading_before(data: Measurements, level: Array) -> Array:
-    """The level (k,) of the same taxel in the contact before each reading's; 0 if it was silent."""
+def _neighbours(data: Measurements, level: Array) -> tuple[Array, np.ndarray]:
+    """The level (k,) of the same taxel in the contact before each reading's, 0 if it was silent;
+    and whether it is silent in the contact after (k,) bool."""
     order = np.lexsort((data.contact, data.taxel))
     taxel, contact = data.taxel[order], data.contact[order]
-    follows = (np.diff(taxel, prepend=-1) == 0) & (np.diff(contact, prepend=0) == 1)
-    found = np.zeros(len(level))
-    found[order[1:]] = np.where(follows[1:], level[order[:-1]], 0.0)
-    return found
+    follows = (np.diff(taxel) == 0) & (np.diff(contact) == 1)
+    before, last = np.zeros(len(level)), np.ones(len(level), dtype=bool)
+    before[order[1:]] = np.where(follows, level[order[:-1]], 0.0)
+    last[order[:-1]] = ~follows
+    return before, last
+
+
+def _possible_filters(
+    taxel: np.ndarray, level: Array, before: Array, last: np.ndarray
+) -> tuple[float, ...]:
+    """Parts of KEPT that a low-pass filter of levels (k,) of taxels (k,) may have: most taxels'
+    levels rise faster than they fall, and none falls below the part that is kept. before, last
+    (k,): as `_neighbours`.
+
+    Without this, the changes of levels that are only late pass for a filter's input: they come
+    earlier, and from a smaller part of a patch, than the levels.
+    """
+    from scipy.special import bdtrc
+
+    owner, falls = np.append(taxel, taxel[last]), level[last]  # to silence
+    cubes = np.append(level - before, -falls) ** 3
+    each = np.bincount(owner, cubes)[np.unique(owner)]
+    chance = bdtrc(int(np.sum(each > 0)) - 1, len(each), 0.5)
+    if cubes.sum() < SKEWED * np.abs(cubes).sum() or chance >= CHANCE:
+        return ()
+    possible = []
+    for kept in KEPT:
+        over = np.append(level - kept * before, -kept * falls)
+        below = np.sum(np.minimum(over, 0.0) ** 2)
+        if below <= MAX_BELOW * np.sum(np.maximum(over, 0.0) ** 2):
+            possible.append(kept)
+    return tuple(possible)
 
 
 def spreads(points: Array, weight: Array, taxel: np.ndarray) -> Array:
     """Weighted mean square distances (t,), m^2, of the contact points (k, 3) of each taxel from
     their middle; taxel (k,): whose they are."""
-    total = np.bincount(taxel, weight)
-    mean = sums_by_group(weight[:, None] * points, taxel, len(total))
-    mean /= np.maximum(total, 1e-300)[:, None]
-    square = np.bincount(taxel, weight * np.sum((points - mean[taxel]) ** 2, axis=1))
-    return np.asarray(square[total > 0] / total[total > 0])
+    off = points - means_by_group(points, taxel, weight=weight)[taxel]
+    square = means_by_group(np.sum(off**2, axis=1), taxel, weight=weight)
+    return square[np.isfinite(square)]
 
 
 def comparison(moved: Array, present: Array) -> tuple[float, float]:

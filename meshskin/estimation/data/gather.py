@@ -22,6 +22,7 @@ from .resolve_belief import MAX_INVALID, contact_model, resolve_belief, valid_co
 from .sensor_range import check_answered, check_disc, common_end, constant_taxels, ends_of_range
 
 if TYPE_CHECKING:
+    from ...geometry.surface.closest_point import Closest
     from ...recording.recording import Recording
     from ...scene.belief import Belief
 
@@ -45,29 +46,18 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     unit_checks.check_readings(recording.metadata.get("readings"), belief.readings)
     index = taxel_rows(recording.reading_taxel, np.asarray(belief.taxel_ids))
     unit_checks.check_unique(recording, index, len(belief.taxel_ids))
-    headings, points = _headings(recording, belief), recording.points
-    hit = belief.body.closest(points)
-    unit_checks.check_points(belief.body, points, hit.distance)
-    if "body_offset" in belief.unknown:
-        belief, points = registered(belief, points, recording.force > 0)
-        hit = belief.body.closest(points)
+    headings, used = _headings(recording, belief), recording.force > 0
     learned = belief.readings == RAW or belief.contact == contact.LEARNED
     if learned:
         belief = replace(belief, contact=contact.LEARNED)
-        hit = over_patches(belief, hit, recording.force)
-    belief = resolve_belief(belief, recording)
-    used = recording.force > 0
+    belief, points, hit = _on_body(recording, belief, learned)
     pressure, unit, falling = recording.pressure, 1.0, False
     if belief.readings == RAW:
         pressure, belief, unit, falling = nominal_pressure(
             recording, belief, index, hit.curvature, used
         )
-    read = used[recording.reading_contact] & (pressure > 0)
     corrupt = unit_checks.corrupt_readings(pressure, index)
-    touched = np.flatnonzero(used[recording.reading_contact] & np.isfinite(recording.pressure))
-    at = recording.points[recording.reading_contact[touched]]
-    corrupt[touched] |= unit_checks.stuck_readings(recording.pressure[touched], index[touched], at)
-    read &= ~corrupt
+    read = used[recording.reading_contact] & (pressure > 0) & ~corrupt
     _require_readings(read, recording, used)
     if belief.readings != RAW:
         contacts = recording.reading_contact[read]
@@ -99,6 +89,10 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         pressure, belief = pressure.copy(), replace(belief, threshold=threshold)
         pressure[read] = level
     read &= pressure > belief.threshold
+    reach = float(np.median(patches.first)) + belief.disc_radius
+    at = recording.points[recording.reading_contact[read]]
+    corrupt[read] = unit_checks.stuck_readings(pressure[read], index[read], at, reach)
+    read &= ~corrupt
     _require_readings(read, recording, used)
     peak, n = float(np.median(patches.peak)), len(belief.taxel_ids)
     motion = belief.contact_motion and belief.contact_motion.take(used)
@@ -137,6 +131,20 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     check_answered(data)
     check_disc(data)
     return data
+
+
+def _on_body(recording: Recording, belief: Belief, learned: bool) -> tuple[Belief, Array, Closest]:
+    """The belief with a contact model and an unknown body offset as a contact motion, and the
+    contact points (m, 3), m, and the surface points closest to them where the body then is."""
+    points = recording.points
+    hit = belief.body.closest(points)
+    unit_checks.check_points(belief.body, points, hit.distance)
+    if "body_offset" in belief.unknown:
+        belief, points = registered(belief, points, recording.force > 0)
+        hit = belief.body.closest(points)
+    if learned:
+        hit = over_patches(belief, hit, recording.force)
+    return resolve_belief(belief, recording), points, hit
 
 
 def gather_or_learn(recording: Recording, belief: Belief) -> tuple[Measurements, str]:

@@ -174,7 +174,7 @@ class Measurements:
 
     @cached_property
     def typical_curvature(self) -> float:
-        """That, 1/m, which a learned response refers to: the median."""
+        """Median of `relative_curvature`, 1/m: a learned response refers to it."""
         median = np.median(self.relative_curvature)
         return float(median) if self.references is None else self.references[0]
 
@@ -219,12 +219,16 @@ class Measurements:
         """Which contacts were left out, and why, in words."""
         why = {
             "in which the contact model does not hold": self.left_out,
-            "that are not on the believed surface": self.strays,
+            "off the believed surface": self.strays,
             "whose readings fit no others: bumps, jumps of the curvature, wrong points": len(
                 self.misfitting
             ),
         }
-        return tuple(f"without {count} contacts {words}" for words, count in why.items() if count)
+        return tuple(
+            f"without {count} contact{'s' * (count > 1)} {words}"
+            for words, count in why.items()
+            if count
+        )
 
     def at_contacts(self, hit: Closest) -> Measurements:
         """These measurements with the contacts at the points `hit` (m) of the body.

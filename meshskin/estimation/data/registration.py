@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array, robust_sigma
+from ...core.arrays import Array, huber_weights, robust_sigma
 from ...scene.contact_motion import ContactMotion
 from .global_parameters import declared_parameters
 
@@ -24,9 +24,6 @@ ITERATIONS = 30
 """Largest number of Gauss-Newton steps; 5 to 10 are usual for offsets of millimetres."""
 CONVERGED = 1e-3
 """Length of a step, in standard deviations, from which nothing moves."""
-HUBER = 1.5
-"""Distance, in standard deviations, beyond which a contact's weight decreases: 95 % efficient
-without outliers (Huber, "Robust Statistics", 1981)."""
 MIN_SCATTER = 1e-5
 """Least standard deviation of a distance, m: no arm and no mesh is better."""
 CELL = 0.01
@@ -83,8 +80,7 @@ def _fit(belief: Belief, points: Array, sigma: Array) -> tuple[Array, Array]:
         hit = belief.body.closest(moved)
         scatter = max(robust_sigma(hit.distance), MIN_SCATTER)
         scatter = float(np.hypot(scatter, belief.surface_sigma))
-        far = HUBER * scatter / np.maximum(np.abs(hit.distance), 1e-300)
-        weight = np.minimum(1.0, far) / scatter**2
+        weight = huber_weights(hit.distance, scatter)
         cells = np.unique(np.floor(moved / CELL), axis=0, return_inverse=True)[1].ravel()
         weight /= np.bincount(cells)[cells]
         jacobian = np.concatenate([hit.normal, np.cross(moved - offset[:3], hit.normal)], axis=1)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group
 from ...core.errors import CalibrationError, RecordingError
 from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
@@ -191,12 +191,14 @@ def corrupt_readings(pressure: Array, taxel: np.ndarray) -> np.ndarray:
     return lost if typical <= 0 or too_many_corrupt(wild) else lost | wild
 
 
-def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array) -> np.ndarray:
+def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array, reach: float) -> np.ndarray:
     """Readings (k,) bool, in time order, of stretches in which a taxel (k,) repeats one value in
     contacts at `points` (k, 3), m, further apart than taxels sense: their rms distance from their
-    middle is STUCK_SPREAD times that of the typical taxel's contacts.
+    middle is STUCK_SPREAD times that of the typical taxel's contacts, and `reach`, m, the distance
+    to which a taxel responds by the belief, as few contacts of a taxel lie closer together.
 
-    None of taxels whose readings are all equal.
+    Readings at rest, which sound taxels repeat, must be left out before. None of taxels whose
+    readings are all equal.
     """
     order = np.argsort(taxel, kind="stable")
     owner, value, at = taxel[order], pressure[order], points[order]
@@ -204,7 +206,7 @@ def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array) -> np.ndar
     run = np.cumsum(begins | (np.diff(value, prepend=np.nan) != 0)) - 1
     typical = float(np.median(_spreads(at, np.cumsum(begins) - 1)[0])) if len(owner) else 0.0
     spread, count = _spreads(at, run)
-    stuck = (count >= MIN_STUCK) & (spread > STUCK_SPREAD * typical)
+    stuck = (count >= MIN_STUCK) & (spread > STUCK_SPREAD * max(typical, reach))
     found = np.zeros(len(taxel), dtype=bool)
     found[order] = stuck[run] & (count[run] < np.bincount(owner)[owner])
     return found
@@ -212,9 +214,8 @@ def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array) -> np.ndar
 
 def _spreads(points: Array, group: np.ndarray) -> tuple[Array, np.ndarray]:
     """Rms distance of the points (k, 3) of each group (k,) from their mean, and their number."""
-    count = np.bincount(group)
-    off = points - (sums_by_group(points, group, len(count)) / count[:, None])[group]
-    return np.sqrt(np.bincount(group, np.sum(off**2, axis=1)) / count), count
+    off = points - means_by_group(points, group)[group]
+    return np.sqrt(means_by_group(np.sum(off**2, axis=1), group)), np.bincount(group)
 
 
 def too_many_corrupt(corrupt: np.ndarray) -> bool:

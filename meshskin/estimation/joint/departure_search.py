@@ -47,7 +47,7 @@ and scale would go far to explain."""
 
 
 def with_departures(
-    effects: RandomEffects, excluded: Collection[str] = ()
+    effects: RandomEffects, excluded: Collection[str]
 ) -> tuple[RandomEffects, dict[str, float]]:
     """The estimate at its optimum, with what the readings show beyond the response, and the scores
     of other departures, but for those that make the readings hardly more likely.
@@ -76,7 +76,7 @@ def with_departures(
             failed = set(excluded)
         else:
             unlikely.add(name)
-        if not converged:  # a response of another kind; further departures would not mend it
+        if not converged:  # a response of another kind; further departures would not correct it
             return effects, {other: left[other] for other in left if other != name}
 
 

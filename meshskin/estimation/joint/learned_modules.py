@@ -16,7 +16,7 @@ import numpy as np
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ..data.measurements import Measurements
-from ..result import EstimatorResult
+from ..result import EstimatorResult, join_words
 from ..uncertainty import observability
 from .coupled_system import CoupledSystem
 from .module_parametrization import MODULE_SURFACE, MODULES, ModuleParametrization, align_modules
@@ -87,7 +87,7 @@ def moved_to_modules(
     points[rows] = parametrization.points()
     for row in np.setdiff1d(rows[found.found[rows]], kept):
         away = ELSEWHERE.format(1e3 * float(np.linalg.norm(points[row] - found.points[row])))
-        faults[row] = ", ".join(filter(None, (faults[row], away)))
+        faults[row] = join_words(faults[row], away)
     shape = observability.shape_operators(data.body, found.points, found.rotations)
     covariance = observability.pose_covariance(found.covariance, shape)
     covariance[rows] = scale * parametrization.covariances(inverse)

@@ -10,17 +10,18 @@ from dataclasses import replace
 import numpy as np
 
 from ...contact.learned import ProfileCorrection
-from ...core.arrays import Array
+from ...core.arrays import Array, spread_rows
+from ..chart import tangential_square
 from ..data.global_parameters import DEPARTURES, MOTION
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
     CENSORING,
     MOSTLY_OUTLIERS,
-    RIVAL,
     SHARED_ERRORS,
     SURFACE,
     EstimatorResult,
     LearnedResponse,
+    name_rivals,
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
@@ -60,10 +61,7 @@ def learned_result(
     data, u, live = effects.data, effects.unknowns, estimator.live
 
     def spread(values: Array, missing: object) -> Array:
-        out = np.empty((len(data.ids), *values.shape[1:]))
-        out[:] = missing
-        out[live] = values
-        return out
+        return spread_rows(values, live, len(data.ids), missing)
 
     covariance, shared = effects.system().covariances()
     variances = np.diagonal(covariance, axis1=1, axis2=2)
@@ -78,14 +76,13 @@ def learned_result(
     scale = max(misfit, fewer_contacts(response.contact_correlation), response.alike_contacts)
     points, rotations = u.parametrization.points(), u.parametrization.rotations()
     apart = np.nan_to_num(rivals.points - points)
-    apart = np.einsum("kij,ki->kj", rotations[:, :, :2], apart)
     fitted = effects.fitted()
     errors, own = shared_errors(fitted), misfit * covariance[:, :2, :2]
     added = errors.covariances(fitted)
     departures = errors.beyond(added, own)
     tangential = _larger(scale * covariance[:, :2, :2], own + added)
     tangential *= _few_readings(effects)[:, None, None]
-    tangential += _leaks(effects) + apart[:, :, None] * apart[:, None, :]
+    tangential += _leaks(effects) + tangential_square(rotations[:, :, :2], apart)
     lost, reasons = estimator.broken, reasons.copy()
     reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
     infinite = np.diag([np.inf, np.inf])
@@ -96,9 +93,7 @@ def learned_result(
     count = np.bincount(effects.readings.taxel, effects.readings.kind == OBSERVED, len(live))
     square = np.bincount(effects.readings.taxel, r, len(live))
     faults = estimator.faults.copy()
-    for k in np.flatnonzero(np.isfinite(rivals.points[:, 0])):
-        words = RIVAL.format(1e3 * float(np.linalg.norm(apart[k])))
-        faults[live[k]] = ", ".join(filter(None, (faults[live[k]], words)))
+    name_rivals(faults, live, points, rivals.points)
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, points), np.nan),
         rotations=spread(rotations, np.nan),
@@ -139,7 +134,7 @@ def learned_result(
 
 
 def _few_readings(effects: RandomEffects) -> Array:
-    """Factors (n,) of the taxels' variances where few readings tell of their four unknowns: the
+    """Factors (n,) of the taxels' variances where few readings determine their four unknowns: the
     variances of gains, offsets and contacts are taken as known, and so is the linearization."""
     readings = effects.readings
     count = np.bincount(readings.taxel, readings.kind == OBSERVED, len(effects.unknowns.nuisance))

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.arrays import Array
+from ...core.arrays import Array, spread_rows
 from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
 from ...core.progress import Stage
@@ -26,10 +26,11 @@ from ..data.measurements import Measurements
 from ..result import (
     CENSORING,
     MOSTLY_OUTLIERS,
-    RIVAL,
     SHARED_ERRORS,
     SURFACE,
     EstimatorResult,
+    join_words,
+    name_rivals,
 )
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
@@ -95,13 +96,11 @@ def estimate(
         stage.expect(USUAL_STEPS)
         return estimate(noisy, start, iterations, tolerance, trilaterated, stage)
     stuck, live, rivals = stuck_taxels(data), estimator.live, resolve_rivals(estimator)
-    distances = np.linalg.norm(rivals.points - estimator.problem.points(estimator.state), axis=1)
-    for k in np.flatnonzero(np.isfinite(distances)):
-        words = (estimator.faults[live[k]], RIVAL.format(1e3 * distances[k]))
-        estimator.faults[live[k]] = ", ".join(filter(None, words))
+    points = estimator.problem.points(estimator.state)
+    name_rivals(estimator.faults, live, points, rivals.points)
     for row, count in zip(*np.unique(data.corrupt[:, 1], return_counts=True), strict=True):
         left_out = f"{count} corrupt, stuck or negative readings left out"
-        estimator.faults[row] = ", ".join(filter(None, (estimator.faults[row], left_out)))
+        estimator.faults[row] = join_words(estimator.faults[row], left_out)
     for row, level in zip(stuck.rows, stuck.level, strict=True):
         estimator.faults[row] = f"stuck at {level / 1e3:.3g} kPa"
     if estimator.unconverged.all():
@@ -191,10 +190,7 @@ def _result(
         jump, errors = jump_of(estimator, fitted), shared_errors(fitted)
 
     def spread(values: Array, missing: object) -> Array:
-        out = np.empty((len(data.ids), *values.shape[1:]))
-        out[:] = missing
-        out[estimator.live] = values
-        return out
+        return spread_rows(values, estimator.live, len(data.ids), missing)
 
     def dropped(covariance: Array) -> Array:
         infinite = np.diag([np.inf] * covariance.shape[1])
@@ -209,29 +205,25 @@ def _result(
     scale, fit = _scale_and_fit(estimator, reduced)
     unit = 1.0 if data.noise is not None and not data.noise_pairs else scale
     information, gains = problem.information(state)
+    pose_covariances: Array | None = None
+    factors = _factors(data, fit)
     if isinstance(parametrization, ModuleParametrization):
         six = scale * parametrization.covariances(covariance[:, :6, :6])
         tangential, pose_covariances = six[:, :2, :2], dropped(six)
-        surface: tuple[str, ...] = (MODULES, MODULE_SURFACE)
+        factors += [MODULES, MODULE_SURFACE]
     else:
-        pose_covariances, surface = None, (SURFACE,)
+        factors.append(SURFACE)
         apart = np.nan_to_num(rivals.points - parametrization.points())
-        apart = np.einsum("kij,ki->kj", parametrization.rotations()[:, :, :2], apart)
         tangential = widened(estimator, scale * covariance[:, :2, :2], scale)
-        tangential += apart[:, :, None] * apart[:, None, :]
+        tangential += chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
         if fit.good is False:
             tangential += _model_dependence(estimator, fit)
         elif fitted and errors and (added := errors.covariances(fitted)).any():
             tangential += added
-            surface += (SHARED_ERRORS.format(errors.where),)
+            factors.append(SHARED_ERRORS.format(errors.where))
     if parameters.nuisance_names != declared.parameters.nuisance_names:
-        surface += (UNDECLARED_GAINS,)
-    silent: tuple[str, ...] = (CENSORING,) if data.noise is not None else ()
-    if data.noise_pairs:
-        silent += (ESTIMATED_NOISE.format(data.noise, data.noise_pairs),)
-    if fit.good is False:
-        silent += (WIDENED.format(fit.reduced**0.5),)
-    silent += data.excluded
+        factors.append(UNDECLARED_GAINS)
+    factors += parameters.describe_priors()
     sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
     groups = np.arange(parametrization.count)
     units = [1.0 if name == "gain" else data.sigma for name in parameters.nuisance_names]
@@ -241,12 +233,10 @@ def _result(
     modulus = data.modulus * float(np.exp(parameters.value("modulus", state.s)))
     modulus_sigma: float | None = None
     if "modulus" in parameters.names:
-        modulus_sigma = modulus * float(
-            np.hypot(
-                global_sigma[parameters.columns["modulus"]][0],
-                radius_deviation(data.belief, data.curvature),
-            )
-        )
+        own = global_sigma[parameters.columns["modulus"]][0]
+        by_radius = radius_deviation(data.belief, data.curvature)
+        modulus_sigma = modulus * float(np.hypot(own, by_radius))
+        factors.append(RADIUS.format(RADIUS_TOLERANCE))
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, parametrization.points()), np.nan),
         rotations=spread(parametrization.rotations(), np.nan),
@@ -254,13 +244,7 @@ def _result(
         pose_covariances=pose_covariances,
         chi2=spread(estimator.chi2 / unit, np.nan),
         reasons=reasons,
-        factors=(
-            "pressure of each reading",
-            *silent,
-            *surface,
-            *parameters.describe_priors(),
-            *((RADIUS.format(RADIUS_TOLERANCE),) if modulus_sigma is not None else ()),
-        ),
+        factors=tuple(factors),
         modulus=modulus,
         modulus_sigma=modulus_sigma,
         unknowns=parameters.named(state.s, scale * global_covariance),
@@ -285,6 +269,18 @@ def _result(
     )
 
 
+def _factors(data: Measurements, fit: GoodnessOfFit) -> list[str]:
+    """What the readings and the contacts that are used have in the estimate, in words."""
+    factors = ["pressure of each reading"]
+    if data.noise is not None:
+        factors.append(CENSORING)
+    if data.noise_pairs:
+        factors.append(ESTIMATED_NOISE.format(data.noise, data.noise_pairs))
+    if fit.good is False:
+        factors.append(WIDENED.format(fit.reduced**0.5))
+    return [*factors, *data.excluded]
+
+
 def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:
     """What to add to the tangential covariances (n, 2, 2), m^2, where the model does not fit.
 
@@ -294,8 +290,8 @@ def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:
     parametrization = estimator.problem.parametrization
     means = trilaterate.centroids(estimator.data)[estimator.live]
     apart = np.nan_to_num(means - parametrization.points())
-    apart = np.einsum("kij,ki->kj", parametrization.rotations()[:, :, :2], apart)
-    return np.asarray((1 - 1 / fit.reduced) * apart[:, :, None] * apart[:, None, :])
+    square = chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
+    return np.asarray((1 - 1 / fit.reduced) * square)
 
 
 def _scale_and_fit(

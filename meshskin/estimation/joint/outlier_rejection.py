@@ -9,6 +9,7 @@ import numpy as np
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ..data.measurements import Measurements
+from ..result import join_words
 from ..trilateration import trilaterate
 from . import fault_detection as faults
 from .joint_estimator import JointEstimator
@@ -258,7 +259,7 @@ def _name_faults(estimator: JointEstimator, scale: float) -> None:
             words.append(f"{outlying[k]} of {read[k]} readings outlying")
         if unanswered[k]:
             words.append(f"silent in {unanswered[k]} contacts that press it")
-        estimator.faults[row] = ", ".join(filter(None, words))
+        estimator.faults[row] = join_words(*words)
     if isinstance(estimator.problem.parametrization, SurfaceParametrization):
         # a module determines its taxels, whatever they read
         estimator.broken = outlying > faults.MAX_TAXEL_OUTLIERS * read

@@ -1,4 +1,4 @@
-"""What the heights of the indenter over the body tell of the robot's unknowns.
+"""What the heights of the indenter over the body show of the robot's unknowns.
 
     h(c(s)) = R - exp(k) depth,    c(s): the indenter's centre by forward kinematics
 
@@ -8,8 +8,6 @@ offsets of the joints, the mount and the indenter's place. The rest are directio
 body slides along itself, which only the readings tell. The clock is left to them, too: a contact
 that is held at a force keeps its height, and the noise of the joints' rates would pass for
 information.
-
-Source of the robust weights: Huber, "Robust Statistics" (1981).
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...contact import BATCHED, ContactModel
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import HUBER, Array, huber_weights, robust_sigma, sums_by_group
 from ...core.errors import CalibrationError
 from ...geometry.body import Body
 from ...robot.contact_kinematics import DELAYS, JOINTS, ContactKinematics, JointPath
@@ -36,9 +34,6 @@ CORRECTIONS = 2
 valley, along which straight steps would be short."""
 CONVERGED = 0.1
 """Length of the next step, in standard deviations, from which nothing moves that counts."""
-HUBER = 1.5
-"""Residual, in standard deviations, beyond which its weight decreases: 95 % efficient without
-outliers (Source)."""
 MIN_SCATTER = 1e-5
 """Least standard deviation of a height, m: no arm and no mesh is better. A delay that changes the
 heights by less, in its standard deviation, is left to the readings: errors that many heights share
@@ -46,8 +41,6 @@ would pass for information."""
 MAX_SCATTER = 3e-3
 """Largest standard deviation of the heights, m, of a body that is where it is believed: more than
 the depth of an indentation."""
-MAD = 0.6745
-"""Median absolute value of a standard normal variable."""
 LOG_DEPTH = 0.7
 """Standard deviation of the logarithm of the depths: that of E* within a factor e, as
 `PRIORS["modulus"]`, of which the depth is the power -2/3."""
@@ -134,7 +127,7 @@ class Heights:
         (r, jacobian, points), damping = self.residuals(x), 1e-3
         for _ in range(MAX_ITERATIONS):
             scatter = _scatter(r)
-            weight = _weights(r, scatter)
+            weight = huber_weights(r, scatter)
             alike = _design_effect(points, weight * r)
             weight = weight / alike
             hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
@@ -193,15 +186,15 @@ class Heights:
         error of the mesh. Delays that the heights hardly tell stay as they were known before.
         """
         r, jacobian, points = self.residuals(x)
-        weight, count = _weights(r, _scatter(r)), len(x) - 1
+        weight, count = huber_weights(r, _scatter(r)), len(x) - 1
         weight = weight / _design_effect(points, weight * r)
         weighted = self.mesh_error.without(points, weight, jacobian)
         hessian = jacobian.T @ weighted + np.diag(self.precision)
         gradient = weighted.T @ r + self.precision * x
         if len(weak := self._weak(jacobian)):
-            told = np.linalg.solve(hessian[np.ix_(weak, weak)], hessian[weak])
-            gradient = gradient - told.T @ gradient[weak]
-            hessian = hessian - told.T @ hessian[weak]
+            share = np.linalg.solve(hessian[np.ix_(weak, weak)], hessian[weak])
+            gradient = gradient - share.T @ gradient[weak]
+            hessian = hessian - share.T @ hessian[weak]
             gradient[weak] = self.precision[weak] * x[weak]
             hessian[weak, weak] = self.precision[weak]
         mean = np.asarray(x - np.linalg.solve(hessian, gradient), dtype=float)
@@ -213,8 +206,8 @@ def timed_by_the_fastest(
     model: ContactKinematics, path: JointPath, time: Array, body: Body
 ) -> ContactKinematics:
     """The kinematics with delays of all joints but the one that moves the heights at times (m,), s,
-    fastest: the others' delays, and the clock's, are against its stamps, which tell most. As they
-    are where the joints that are delayed are given."""
+    fastest: delays of the others and of the clock are relative to its stamps, which determine most.
+    Unchanged where the joints that are delayed are given."""
     names = model.chain.joint_names
     if model.delayed is not None or DELAYS not in model.columns or len(names) < 2:
         return model
@@ -251,12 +244,7 @@ def surface_heights(
 
 def _scatter(r: Array) -> float:
     """Robust standard deviation, m, of residuals (m,), m."""
-    return max(float(np.median(np.abs(r))) / MAD, MIN_SCATTER)
-
-
-def _weights(r: Array, scatter: float) -> Array:
-    """Huber's weights (m,), 1/m^2, of residuals (m,), m."""
-    return np.minimum(1.0, HUBER * scatter / np.maximum(np.abs(r), 1e-300)) / scatter**2
+    return max(robust_sigma(r), MIN_SCATTER)
 
 
 def _cost(r: Array, scatter: float) -> float:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.arrays import Array
-from ..chart import Charts
+from ..chart import Charts, tangential_square
 from ..data.measurements import Measurements
 from ..joint.joint_estimator import JointEstimator
 from ..joint.likelihood_widths import widened_along_axis
@@ -64,9 +64,8 @@ def examine(
     spread = widened_along_axis(estimator, rows, covariance, 1.0) - covariance
     rival = odds < MAX_LOG_ODDS
     apart = np.where(rival[:, None], places - charts.points, 0.0)
-    apart = np.einsum("tij,ti->tj", charts.tangents, apart)
     return Basins(
         better=np.where((odds < 0)[:, None], places, np.nan),
-        spread=spread + apart[:, :, None] * apart[:, None, :],
+        spread=spread + tangential_square(charts.tangents, apart),
         unique=~rival,
     )

@@ -117,8 +117,7 @@ class RunningEstimate:
         if self.misfit or self.store.noise_is_nominal:
             found = self.scale**2 * found
             apart = np.nan_to_num(self.store.means - info.points(np.arange(len(found))))
-            apart = np.einsum("nij,ni->nj", info.charts.tangents, apart)
-            found += (1 - self.scale**-2) * apart[:, :, None] * apart[:, None, :]
+            found += (1 - self.scale**-2) * chart.tangential_square(info.charts.tangents, apart)
         return np.where(info.placed[:, None, None], found, np.diag([np.inf, np.inf]))
 
     @property

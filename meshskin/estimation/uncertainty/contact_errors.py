@@ -1,21 +1,21 @@
 """Errors of the body, of the kinematics and of the clocks, as the contact points show them.
 
-Estimates rest on the believed surface and on the recorded contact points. No reading shows a body
-that is too large, a dent, or contact points that are all displaced: the distances of the contact
-points from the believed surface do. Nor does the spread of the residuals show how far a delay of
-the readings displaces a taxel: the path of the contact points does.
+Estimates rest on the believed surface and on the recorded contact points. The readings do not show
+a body that is too large, a dent, or contact points that are all displaced; the distances of the
+contact points from the believed surface show them. The spread of the residuals does not show how
+far a delay of the readings displaces a taxel; the path of the contact points shows it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group, sums_by_group
 from ..data import delay
 from ..data.registration import CELL, MIN_SCATTER
 from ..trilateration.displacements import surface_motion
@@ -115,10 +115,9 @@ def local_means(data: Measurements, distance: Array) -> tuple[Array, Array]:
 def _middles(data: Measurements) -> Array:
     """Means (n, 3), m, of each taxel's contact points, weighted by pressure squared; those of all
     without readings."""
-    weight, n = data.pressure**2, len(data.ids)
-    total = np.bincount(data.taxel, weight, n)[:, None]
-    sums = sums_by_group(weight[:, None] * data.points[data.contact], data.taxel, n)
-    return np.where(total > 0, sums / np.maximum(total, 1e-300), data.points.mean(axis=0))
+    points, weight = data.points[data.contact], data.pressure**2
+    mean = means_by_group(points, data.taxel, len(data.ids), weight)
+    return np.where(np.isfinite(mean), mean, data.points.mean(axis=0))
 
 
 def _normal_variance(data: Measurements, distance: Array) -> Array:
@@ -133,21 +132,15 @@ def displacement(distance: Array, normals: Array) -> Array:
     """The displacement (3,), m, of contact points that explains their distances (m,), m, from a
     surface with normals (m, 3); zero where it is within SHIFT_SIGMAS of chance.
 
-    Single contacts far off the surface have no part in it.
+    Single contacts far off the surface have no part in it, nor what the distances do not show.
     """
-    return _visible(normals, distance)
-
-
-def _visible(columns: Array, distance: Array) -> Array:
-    """The combination (q,) of `columns` (m, q) that explains distances (m,), m, without what these
-    do not show and what is within SHIFT_SIGMAS of chance."""
     near = _sound(distance)
-    distance, columns = distance[near], columns[near]
-    value, vectors = np.linalg.eigh(columns.T @ columns)
-    good = value > MIN_SPREAD * len(columns)
+    distance, normals = distance[near], normals[near]
+    value, vectors = np.linalg.eigh(normals.T @ normals)
+    good = value > MIN_SPREAD * len(normals)
     basis = vectors[:, good] / np.sqrt(value[good])
-    along = basis.T @ (columns.T @ distance)
-    rest = float(np.sum(distance**2) - np.sum(along**2)) / max(len(distance) - columns.shape[1], 1)
+    along = basis.T @ (normals.T @ distance)
+    rest = float(np.sum(distance**2) - np.sum(along**2)) / max(len(distance) - 3, 1)
     along[np.abs(along) < SHIFT_SIGMAS * np.sqrt(max(rest, 0.0))] = 0.0
     return np.asarray(basis @ along)
 
@@ -188,7 +181,7 @@ class Motion:
 
     @classmethod
     def none(cls, points: Array) -> Motion:
-        """That of points (m, 3), m, which do not move."""
+        """No motion, about the middle of the points (m, 3), m."""
         return cls(points.mean(axis=0), np.zeros(3), np.zeros(3), 0.0, np.zeros((7, 7)))
 
     @classmethod
@@ -259,9 +252,10 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
 
     It is none where a body of another size, scaled or offset along its normals, explains the
     distances (m,), m, better: its taxels are where the contacts are. One with turn and scale must
-    leave a tenth of what the simpler ones leave. Distances that none of these explains are dents of
-    the body; where they are as large as a failure of the verdict, or would ask for such a
-    displacement, the points may be anywhere on the body: its extents are the covariance.
+    leave a tenth of what the simpler ones leave, and the moved points must lie as near: a large one
+    on a small part of the body fits its dents to first order only. Distances that none of these
+    explains are dents of the body; where they are as large as a failure of the verdict, or ask for
+    such a displacement, the points may be anywhere on the body: its extents are the covariance.
     """
     shift = displacement(distance, normals)
 
@@ -274,19 +268,21 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     for size in (np.ones(len(distance)), np.einsum("mi,mi->m", points, normals)):
         rests.append(distance - (size @ distance) / max(float(size @ size), 1e-300) * size)
     squares = [float(np.sum(rest**2)) for rest in rests]
-    simple, scatter = left(rests[int(np.argmin(squares))])
-    dented = simple > MAX_LEFT * left(distance)[0] + scatter
+    whole, (simple, scatter) = left(distance)[0], left(rests[int(np.argmin(squares))])
     facets = getattr(data.body, "facets", None)  # an exact surface has none
     corners = points if facets is None else facets.vertices
     bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
     found = Motion.explaining(bounds, points, distance, normals)
-    if sum(left(distance - np.sum(normals * found.at(points), axis=1))) < MAX_LEFT * simple:
-        return found
-    if squares[0] < min(squares[1:]) and not dented:
+    moved = data.body.closest(points - found.at(points))  # far motions are not linear
+    after, enough = sum(left(moved.distance)), MAX_LEFT * whole + scatter
+    moves = squares[0] < min(squares[1:]) and simple <= enough
+    if after < MAX_LEFT * simple or (moves and after <= enough):
         return found
     none = Motion.none(points)
+    if simple <= enough:
+        return replace(none, shift=shift) if moves else none
     size = max(float(np.median(np.abs(distance))), float(np.linalg.norm(shift)))
-    if dented and size > SURFACE_DEPTHS[1] * data.indentation:
+    if size > SURFACE_DEPTHS[1] * data.indentation:
         none.covariance[:3, :3] = float(np.sum(np.ptp(bounds, axis=0) ** 2)) / 12 * np.eye(3)
     return none
 

@@ -118,7 +118,7 @@ def make_winding_consistent(edit: MeshEdit) -> Index:
 
 
 def orient_outward(
-    edit: MeshEdit, across: Index, component: Index, open: bool = False
+    edit: MeshEdit, across: Index, component: Index, open: bool
 ) -> tuple[bool, Index]:
     """Invert the closed parts whose normals point into the solid; parts with borders stay.
 

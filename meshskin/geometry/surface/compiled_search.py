@@ -152,17 +152,17 @@ def _tree(
     face = centroids["face"].copy()
     corners = vertices[faces[face]]
     bounds = np.zeros(m) if offsets is None else offsets[face]
-    node = _aligned(2 << levels, 8)
+    node = _aligned(2 << levels)
     library_.enclose(*count, *_addresses(corners, bounds, node))
     arrays = node, corners, bounds, face
     return _Tree(levels, 1 << levels, m, *(a.ctypes.data for a in arrays)), arrays
 
 
-def _aligned(rows: int, columns: int) -> Array:
-    """An empty array aligned to cache lines of 64 bytes."""
-    room = np.empty(rows * columns + 8)
+def _aligned(rows: int) -> Array:
+    """An empty array (rows, 8) whose rows are cache lines of 64 bytes."""
+    room = np.empty(8 * rows + 8)
     first = -room.ctypes.data // 8 % 8
-    return room[first : first + rows * columns].reshape(rows, columns)
+    return room[first : first + 8 * rows].reshape(rows, 8)
 
 
 def _addresses(*arrays: NDArray[Any]) -> list[ctypes.c_void_p]:

@@ -75,7 +75,7 @@ def find_creases(
 
 
 def split_fans(
-    vertices: Array, faces: Index, across: tuple[Index, Index], seams: Index | None = None
+    vertices: Array, faces: Index, across: tuple[Index, Index], seams: Index | None
 ) -> Fans:
     """The fans of a mesh; `across`: as of topology.neighbours.
 

@@ -178,7 +178,7 @@ def source_digest(folder: Path = PACKAGE) -> str:
     return digest(*(part for pair in named for part in pair))
 
 
-def runner_identity(run: RunFunction, version: str = "") -> str:
+def runner_identity(run: RunFunction, version: str) -> str:
     """Name and source text of a run function, and the version that its author gave it.
 
     What it calls outside meshskin is not part of it: the author changes `version` when that

@@ -118,3 +118,24 @@ def test_a_low_pass_filter_is_estimated_and_is_no_delay(data):
     share, constant = (found.parameter_values[f"creep {x}"] for x in ("share", "time constant"))
     assert abs(share[0] - 1) < 4 * share[1]
     assert abs(constant[0] - 0.02 / np.log(2)) < 4 * constant[1]
+
+
+def late(made, frames):
+    """The recording with its readings some frames too late."""
+    row = made.reading_contact + frames
+    kept = pa.array(row < len(made.time))
+    time = pa.array(made.time[np.minimum(row, len(made.time) - 1)])
+    return Recording(
+        made.contacts, made.readings.set_column(0, "time", time).filter(kept), made.metadata
+    )
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5])
+def test_a_delay_is_no_low_pass_filter(frames):
+    """What rises from frame to frame is a smaller part of a patch, which comes earlier."""
+    assert gather(late(recording(), frames), belief()).delay == frames
+
+
+@pytest.mark.parametrize(("kept", "step"), [(0.5, 2e-3), (0.7, 0.75e-3), (0.9, 1.5e-3)])
+def test_the_lag_of_a_low_pass_filter_is_no_delay(kept, step):
+    assert gather(recording(line=2e-3, step=step, kept=kept), belief()).delay == 0

@@ -11,9 +11,13 @@ import meshskin as ms
 from meshskin.contact.reading import same_sheet
 from meshskin.core.se3 import exp_so3
 from meshskin.effects.gaussian_noise import GaussianNoise
+from meshskin.estimation.chart import charts_at
+from meshskin.estimation.data.gather import gather
+from meshskin.estimation.joint.joint_estimator import JointEstimator
 from meshskin.estimation.joint.likelihood import Readings
+from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.joint.pressure import OBSERVED
-from meshskin.estimation.joint.rival_optima import open_sectors
+from meshskin.estimation.joint.rival_optima import find_rivals, open_sectors, resolve_rivals
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +56,29 @@ def test_a_taxel_touched_along_a_line_has_a_rival_at_its_mirror_image(line):
     assert max(errors) == pytest.approx(3e-3, rel=0.2)  # twice the distance of the strip's middle
     assert calibration.position_sigma[far] > 0.9 * np.linalg.norm(rival - estimate)
     assert "second position" in calibration.faults[far]
+
+
+def test_the_likelier_of_two_optima_is_the_estimate(line):
+    """The odds are the difference of the costs at both optima, from whichever it starts."""
+    scene, calibration, far = line
+    data = gather(strip_recording(scene, far), scene.belief())
+    live = np.flatnonzero(np.isfinite(calibration.positions[:, 0]))
+    places, row = calibration.positions[live], int(np.searchsorted(live, far))
+    charts = charts_at(data.body, places, calibration.poses[live, :3, :3])
+    parametrization = SurfaceParametrization(charts, float(np.median(data.radii)) / 2)
+    estimator = JointEstimator(data, live, parametrization, np.ones(len(data.pressure)), 30)
+    odds, costs = [], []
+    for _ in range(2):
+        estimator.converge()
+        rivals = find_rivals(estimator)
+        odds.append(rivals.log_odds[row])
+        costs.append(estimator.state.moments.cost[row])
+        places[row] = rivals.points[row]
+        estimator.start_at(places, select_anew=True)
+    difference = costs[1] - costs[0]
+    assert odds == pytest.approx([difference, -difference], rel=0.1)
+    assert resolve_rivals(estimator).log_odds[row] == pytest.approx(abs(difference), rel=0.1)
+    assert estimator.state.moments.cost[row] == pytest.approx(min(costs), rel=0.01)
 
 
 def test_no_taxel_is_confidently_wrong(line):

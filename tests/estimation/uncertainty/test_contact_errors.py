@@ -12,6 +12,7 @@ import meshskin as ms
 from meshskin.estimation.calibrate import METHODS
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.uncertainty import contact_errors
+from meshskin.geometry.region import Cap
 from meshskin.recording.recording import Recording
 
 CONTACTS = 500
@@ -331,3 +332,23 @@ def test_contact_points_of_another_place_of_the_body_may_be_anywhere_on_it():
         hit = body.closest(there)
         squares = contact_errors.motion(data, there, hit.distance, hit.normal).squares(points)
         assert least <= np.sqrt(np.einsum("nii->n", squares).mean()) <= most
+
+
+def test_dents_under_a_small_skin_are_no_far_motion_of_the_body():
+    """A slide by 40 mm along the body explains them to first order, and does not explain them."""
+    base, rng = ms.Scene.load("sphere_noisy"), np.random.default_rng(2)
+    body = ms.Body.ellipsoid((0.06, 0.04, 0.12))
+    towards = rng.normal(size=3)
+    skin = ms.Skin.cover(
+        body, spacing=6e-3, count=8, seed=2, region=Cap(direction=tuple(towards)),
+        disc_radius=2e-3,
+    )  # fmt: skip
+    scene = base.with_(body=body, skin=skin, contact="elliptic", material=ms.Material(young=0.4e6))
+    near = skin.positions[rng.integers(len(skin), size=80)]
+    log = ms.press(scene, body.closest(near + rng.uniform(-5e-3, 5e-3, (80, 3))).point)
+    waves, phase = rng.normal(size=(3, 40)) / 15e-3, rng.uniform(0, 2 * np.pi, 40)
+    dents = 0.1e-3 * np.sqrt(2 / 40) * np.cos(log.points @ waves + phase).sum(axis=1)
+    normals = body.closest(log.points).normal
+    found = ms.calibrate(moved(log, dents[:, None] * normals), scene.belief())
+    assert np.linalg.norm(found.positions - skin.positions, axis=1).max() < 0.1e-3
+    assert found.position_sigma.max() < 2e-3
