@@ -157,15 +157,15 @@ def gather_or_learn(recording: Recording, belief: Belief) -> tuple[Measurements,
         return gather(recording, belief), ""
     except ContactError as error:
         stiffer = replace(belief.material, young=STIFFER * belief.material.young)
-        if belief.contact != contact.AUTO or not _holds(
+        if belief.contact != contact.AUTO or not holds(
             recording, replace(belief, material=stiffer)
         ):
             raise
         return gather(recording, replace(belief, contact=contact.LEARNED)), str(error)
 
 
-def _holds(recording: Recording, belief: Belief) -> bool:
-    """Whether a contact model holds in the recording's contacts."""
+def holds(recording: Recording, belief: Belief) -> bool:
+    """Whether a contact model, that of the belief, holds in the recording's contacts."""
     try:
         resolve_belief(belief, recording)
     except ContactError:
