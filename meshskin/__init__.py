@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from .estimation.adaptive import adapt as adapt
     from .estimation.calibrate import calibrate as calibrate
     from .estimation.calibration import Calibration as Calibration
-    from .estimation.kinematics.calibrate_log import LogCalibration as LogCalibration
     from .estimation.kinematics.calibrate_log import calibrate_log as calibrate_log
+    from .estimation.kinematics.log_calibration import LogCalibration as LogCalibration
     from .estimation.layout.layout import Layout as Layout
     from .estimation.layout.layout import layout as layout
     from .estimation.online.frames import ContactFrames as ContactFrames
@@ -75,7 +75,8 @@ _NAMES = {
     "estimation.adaptive": ("adapt",),
     "estimation.calibrate": ("calibrate",),
     "estimation.calibration": ("Calibration",),
-    "estimation.kinematics.calibrate_log": ("LogCalibration", "calibrate_log"),
+    "estimation.kinematics.calibrate_log": ("calibrate_log",),
+    "estimation.kinematics.log_calibration": ("LogCalibration",),
     "estimation.layout.layout": ("Layout", "layout"),
     "estimation.online.frames": ("ContactFrames",),
     "estimation.online.online_calibration": ("OnlineCalibration",),

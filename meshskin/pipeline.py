@@ -31,7 +31,7 @@ from .core.progress import Progress, Stage
 from .core.provenance import StageTimer, provenance
 from .estimation.calibrate import Estimation
 from .estimation.calibration import Calibration
-from .estimation.comparison import METHODS, compare_methods, worse_than_centroid
+from .estimation.comparison import METHODS, Comparison, compare_methods, worse_than_centroid
 from .estimation.demonstration import Demonstration, demonstrate
 from .estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from .estimation.uncertainty import metrics as truth
@@ -90,52 +90,36 @@ def run(
     from .study.sensitivity.first_run import least_seconds
 
     check_integer("seed", seed, least=0)
-    folder, timer = Path(folder), StageTimer()
     asked = math.inf if request is None or request.seconds is None else request.seconds
     deadline = Deadline(asked) if began is None else Deadline(asked, began)
+    job = _Job(Path(folder), seed, deadline, progress, StageTimer())
     check_run_seconds(asked, deadline.least(LEAST_SECONDS - IMPORT_SECONDS))
-    with timer.stage("load"):
+    with job.timer.stage("load"):
         Stage(progress, "plan")  # goes on, and ends, in `simulate`
         scene = Scene.load(name)
         if budget is not None:
             scene = scene.with_(budget=budget)
-        check_folder(folder)
+        check_folder(job.folder)
         if math.isfinite(asked) and scene.indenter.carried_by is None:
             check_run_seconds(asked, deadline.least(least_seconds(scene)))
     decided = None
     if scene.budget is not None:
-        with timer.stage("budget"):
+        with job.timer.stage("budget"):
             decided = apply_budget(scene, seed=seed, progress=deadline.hook(progress))
             scene = decided.scene
     choice = None
     if request is not None:
-        with timer.stage("pilot"):
+        with job.timer.stage("pilot"):
             choice = choose(scene, request, METHODS, seed, deadline, progress)
-    done: _Calibrated | FirstRun | None = None
-    if choice is None or choice.measured is not None:
-        with suppress(OutOfTime):
-            done = _simulated(scene, choice, decided, folder, seed, deadline, progress, timer)
-    if done is None:
-        assert choice is not None  # without a request there is no deadline
-        choice = choice.without_finer("the chosen run did not fit")
-        done = choice.first
-        done.recording.save(folder / "recording")
-        remove_results(folder)
+    done, choice = _calibrated(job, scene, choice, decided)
     scene, recording, calibration = done.scene, done.estimation.recording, done.calibration
-    calibration.save(folder / "calibration")
+    calibration.save(job.folder / "calibration")
     if watch is not None:
         watched = Stage(progress, "live")
         watch(scene, recording, calibration)
         watched.end()
-    with timer.stage("compare"):
-        expected = (lambda _: 0.0) if choice is None else choice.seconds
-        comparison = compare_methods(done.estimation, progress, deadline, REPORT_SECONDS, expected)
-        demonstration = None
-        # where taxels share too few contacts, or the time is used up
-        with suppress(CalibrationError, GraphError, OutOfTime):
-            deadline.check(REPORT_SECONDS)
-            demonstration = demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
-    with timer.stage("metrics"):
+    comparison, demonstration = _compared(job, done, choice)
+    with job.timer.stage("metrics"):
         force = _force(recording, scene)
         metrics = _assess(scene, done.estimation, calibration, force, demonstration)
         metrics |= comparison.errors(scene.skin)
@@ -148,14 +132,14 @@ def run(
             metrics["promise"] = choice.record
         own = Path(name).suffix == ".toml"
         metrics["inputs"] = {"scene": str(Path(name).resolve() if own else name), "seed": seed}
-    with timer.stage("report"):
+    with job.timer.stage("report"):
         facts = provenance(scene=scene.name, seed=seed)
         data = ReportData(
             calibration, recording, scene.skin, comparison.found, demonstration, metrics,
-            timer.seconds, facts, scene.body,
+            job.timer.seconds, facts, scene.body,
         )  # fmt: skip
         hook = deadline.hook(progress, FIGURE_SECONDS)
-        metrics["figures_left_out"] = draw(folder / "report.html", data, hook)[1]
+        metrics["figures_left_out"] = draw(job.folder / "report.html", data, hook)[1]
     if choice is not None:
         seconds, processor = deadline.spent
         choice.record["came_to"] = {
@@ -163,11 +147,23 @@ def run(
             "seconds": seconds,
             "processor_seconds": processor,
         }
-    metrics["seconds"] = {k: round(v, 4) for k, v in timer.seconds.items()}
-    write_json(folder / "metrics.json", metrics)
+    metrics["seconds"] = {k: round(v, 4) for k, v in job.timer.seconds.items()}
+    write_json(job.folder / "metrics.json", metrics)
     return Result(
         scene, recording, calibration, comparison.found, demonstration, force, metrics, decided
     )
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What all stages of a run share."""
+
+    folder: Path
+    """Where the results go."""
+    seed: int
+    deadline: Deadline
+    progress: Progress | None
+    timer: StageTimer
 
 
 @dataclass(frozen=True)
@@ -179,17 +175,25 @@ class _Calibrated:
     calibration: Calibration
 
 
+def _calibrated(
+    job: _Job, scene: Scene, choice: Choice | None, decided: BudgetReport | None
+) -> tuple[_Calibrated | FirstRun, Choice | None]:
+    """The run of the scene, or of the one that was chosen; with the choice, the first run in place
+    of one that does not fit."""
+    if choice is None or choice.measured is not None:
+        with suppress(OutOfTime):
+            return _simulated(job, scene, choice, decided), choice
+    assert choice is not None  # without a request there is no deadline
+    choice = choice.without_finer("the chosen run did not fit")
+    choice.first.recording.save(job.folder / "recording")
+    remove_results(job.folder)
+    return choice.first, choice
+
+
 def _simulated(
-    scene: Scene,
-    choice: Choice | None,
-    decided: BudgetReport | None,
-    folder: Path,
-    seed: int,
-    deadline: Deadline,
-    progress: Progress | None,
-    timer: StageTimer,
+    job: _Job, scene: Scene, choice: Choice | None, decided: BudgetReport | None
 ) -> _Calibrated:
-    """The scene, or the one that was chosen, simulated into `folder` and calibrated.
+    """The scene, or the one that was chosen, simulated into the folder and calibrated.
 
     Raises OutOfTime where no time would be left for the report.
     """
@@ -199,20 +203,39 @@ def _simulated(
     if choice is not None:
         scene, path, tolerance = choice.scene, choice.path, choice.tolerance
         later += choice.seconds("joint")
-    with timer.stage("simulate"):
+    with job.timer.stage("simulate"):
         if scene.indenter.carried_by is not None:
             plan = plan_exploration(scene)
-            plan.save_contacts(folder / "contacts.csv")
+            plan.save_contacts(job.folder / "contacts.csv")
             path = plan.path
-        hook = deadline.hook(progress, later)
-        recording = simulate(scene, seed, path=path, out=folder / "recording", progress=hook)
-    remove_results(folder)
-    with timer.stage("calibrate"):
+        hook = job.deadline.hook(job.progress, later)
+        out = job.folder / "recording"
+        recording = simulate(scene, job.seed, path=path, out=out, progress=hook)
+    remove_results(job.folder)
+    with job.timer.stage("calibrate"):
         belief = scene.belief() if decided is None else decided.belief
         tolerance = tolerance if decided is None else decided.tolerance
-        estimation, hook = Estimation(recording, belief), deadline.hook(progress, REPORT_SECONDS)
+        estimation = Estimation(recording, belief)
+        hook = job.deadline.hook(job.progress, REPORT_SECONDS)
         calibration = estimation.calibrate(tolerance=tolerance, progress=hook)
     return _Calibrated(scene, estimation, calibration)
+
+
+def _compared(
+    job: _Job, done: _Calibrated | FirstRun, choice: Choice | None
+) -> tuple[Comparison, Demonstration | None]:
+    """The recording calibrated by the other methods, and the demonstration of the pose graph; None
+    where taxels share too few contacts, or the time is used up."""
+    with job.timer.stage("compare"):
+        expected = (lambda _: 0.0) if choice is None else choice.seconds
+        comparison = compare_methods(
+            done.estimation, job.progress, job.deadline, REPORT_SECONDS, expected
+        )
+        with suppress(CalibrationError, GraphError, OutOfTime):
+            job.deadline.check(REPORT_SECONDS)
+            skin, recording = done.scene.skin, done.estimation.recording
+            return comparison, demonstrate(skin.poses, skin.ids, recording, job.seed)
+    return comparison, None
 
 
 def _force(recording: Recording, scene: Scene) -> ForceResponse:

@@ -1,4 +1,4 @@
-"""Consistency of the joint estimate: normalised squared errors over many seeds.
+"""Consistency of the joint estimate: normalized squared errors over many seeds.
 
     python studies/consistency.py [--scenes ideal modulus ...] [--seeds 40] [--first 0] [--full]
                                   [--json FILE] [--out DIR]
@@ -177,7 +177,7 @@ def contacts(scene: ms.Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def study(case: Case, seeds: range) -> dict[str, dict[str, float]]:
-    """Rows of quantities: mean normalised square, its band, how many squares it is a mean of."""
+    """Rows of quantities: mean normalized square, its band, how many squares it is a mean of."""
     belief = case.world.belief(**case.belief)
     right = replace(belief, material=case.world.material)  # the bound is that at the truth
     points, force, spin = contacts(case.world)
@@ -318,7 +318,7 @@ def design_effect(parts: list[np.ndarray]) -> float:
 
 
 def band(nees: float, count: float) -> dict[str, float]:
-    """The row of a mean of `count` normalised squares: its 95 % band, and its p, of two sides."""
+    """The row of a mean of `count` normalized squares: its 95 % band, and its p, of two sides."""
     low, high = chi2.ppf([0.025, 0.975], count) / count
     below = chi2.cdf(nees * count, count)
     p = 2 * min(below, 1 - below)
@@ -383,7 +383,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
     chosen = {name: case for name, case in cases().items() if name in (options.scenes or cases())}
 
     found = {}
-    print(f"normalised squared errors, {len(seeds)} seeds from {seeds[0]}")
+    print(f"normalized squared errors, {len(seeds)} seeds from {seeds[0]}")
     for name, case in chosen.items():
         found[name] = study(case, seeds)
         fit = found[name]["fit"]
@@ -408,7 +408,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
 
 
 def draw(found: dict[str, dict[str, dict[str, float]]], folder: Path) -> None:
-    """Draw the normalised squared errors in their bands."""
+    """Draw the normalized squared errors in their bands."""
     rows = {
         f"{name}: {quantity}": row
         for name, quantities in found.items()
@@ -417,7 +417,7 @@ def draw(found: dict[str, dict[str, dict[str, float]]], folder: Path) -> None:
     }
     figure = dots(
         {name: {"mean squared error / variance": row["nees"]} for name, row in rows.items()},
-        "normalised squared error (grey: 95 % band)",
+        "normalized squared error (grey: 95 % band)",
         limits={"consistent": 1.0},
         bands={name: (row["low"], row["high"]) for name, row in rows.items()},
     )

@@ -12,7 +12,7 @@ Printed for each world are rms errors in mm: of the pressure-weighted mean of co
 baseline), three chosen circles, the joint estimate with Hertz' contact, the same with gain and
 offset declared unknown, the joint estimate by default, and with the learned contact model; the
 bound of the world's noise for who knows all but the places; the rms of the stated standard
-deviations over the rms error, the mean normalised squared error (NEES, 2 by theory), and processor
+deviations over the rms error, the mean normalized squared error (NEES, 2 by theory), and processor
 seconds. A "!" follows errors above the baseline's, and
 "-k" precedes those of methods that leave k taxels without a place. "refused": an error was raised.
 
@@ -78,7 +78,7 @@ class Estimate:
     sigma: float
     """Rms stated standard deviation, m."""
     nees: float = float("nan")
-    """Mean normalised squared error: 2 where the covariances hold."""
+    """Mean normalized squared error: 2 where the covariances hold."""
 
 
 def centroid(sample: Sample, body: ms.Body) -> Estimate:

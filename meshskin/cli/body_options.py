@@ -90,7 +90,7 @@ def settle_units(path: Path, options: argparse.Namespace) -> str:
             size = 1e3 * extent * mesh_file.UNITS[unit]
             return f"by its size: the largest extent is {size:.4g} mm then"
     raise MeshError(
-        "the unit cannot be told from the size", value=f"largest extent {extent:.4g}",
+        "the size does not show the unit", value=f"largest extent {extent:.4g}",
         remedy="give --units",
     )  # fmt: skip
 

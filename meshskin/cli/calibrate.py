@@ -58,7 +58,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--cross-validate", type=int, metavar="FOLDS", help="hold out contacts in FOLDS folds and "
-        "localise them by the skin calibrated on the others: one more calibration per fold",
+        "localize them by the skin calibrated on the others: one more calibration per fold",
     )  # fmt: skip
     export_options.add(parser)
     parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
@@ -226,7 +226,9 @@ def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
         lines.append(f"  held out         {held_out_in_words(metrics['cross_validation'])}")
     lines.append(f"  not determined   {metrics['undetermined']}")
     lost = Counter(map(str, np.asarray(found.reasons)[~np.isfinite(found.positions).all(axis=1)]))
-    lines += [f"  left out         {n} taxels: {why}" for why, n in lost.most_common()]
+    lines += [
+        f"  left out         {n} taxel{'s' * (n > 1)}: {why}" for why, n in lost.most_common()
+    ]
     named = list(metrics["faults"].items())
     lines += [f"  taxel {k:>6}     {words}" for k, words in named[:SHOWN]]
     if len(named) > SHOWN:

@@ -139,7 +139,7 @@ def thinned(rows: Any) -> Any:
 
 
 def marks(found: MeshCheck) -> Iterator[tuple[Any, float, str, str]]:
-    """Points (k, 3), mm, marker size, color and legend text of each finding, the largest last;
+    """Points (k, 3), mm, marker size, colour and legend text of each finding, the largest last;
     repairs all over the mesh have no points."""
     for finding in sorted(found.findings, key=lambda one: SIZES[one.verdict]):
         points, text = 1e3 * finding.points, f"{finding.verdict}: {finding.what}"

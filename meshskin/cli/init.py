@@ -242,11 +242,17 @@ NO_PLACES = """\
 
 def log_map(file: Path, out: Path) -> tuple[str, str]:
     """The text of a map of a log, and the command that reads the log by it. Raises ConfigError."""
+    from ..recording import csv_log
     from ..recording.log_map import LogMap
     from ..recording.readers import read_and_suggest
     from ..recording.stream import CONTACTS, JOINTS, POSE
     from .log import first_map
 
+    if csv_log.find(file):
+        raise ConfigError(
+            f"{file} needs no map: it holds contacts.csv and readings.csv",
+            remedy=f"meshskin calibrate {file} --body MESH --indenter-radius-mm MM --out out/",
+        )
     log, could = read_and_suggest(file, progress=True)
     first = first_map(could, [])
     lines = [

@@ -141,7 +141,7 @@ def summary(result: Result, folder: Path) -> str:
         ),
     ]
     if calibration.modulus is not None:
-        value = f"{calibration.modulus / 1e3:.3f} kPa{certainty(calibration)}"
+        value = f"{calibration.modulus / 1e3:.4g} kPa{certainty(calibration)}"
         lines.append(f"  E*                 {value}")
     lines += response_lines(calibration)
     if "promise" in m:
@@ -161,7 +161,9 @@ def summary(result: Result, folder: Path) -> str:
     left_out = Counter(result.recording.metadata.get("unreachable", {}).values())
     if m["left_out"] or m["figures_left_out"]:
         lines.append(f"  to add them        meshskin report {folder}")
-    lines += [f"  not reached        {n} taxels: {why}" for why, n in left_out.most_common()]
+    lines += [
+        f"  not reached        {n} taxel{'s' * (n > 1)}: {why}" for why, n in left_out.most_common()
+    ]
     lines += [
         "  not determined     " + m["undetermined"],
         *(

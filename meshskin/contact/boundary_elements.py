@@ -1,6 +1,6 @@
 """The contact model "field": boundary elements on a grid, for any gap, half-space or bonded layer.
 
-The pressure p >= 0 of total force F minimises 1/2 p.Kp + p.gap. It is computed by the constrained
+The pressure p >= 0 of total force F minimizes 1/2 p.Kp + p.gap. It is computed by the constrained
 conjugate gradients of I. A. Polonsky and L. M. Keer, Wear 231 (1999), with the convolution K p by
 FFT on a doubled grid, without periodic images.
 

@@ -37,7 +37,7 @@ def whitening() -> Array:
 
 @functools.cache
 def _coefficients() -> Array:
-    """Those of the splines about the knots -1 to PROFILE_SIZE + 3 (PROFILE_SIZE + 5,
+    """Coefficients of the splines about the knots -1 to PROFILE_SIZE + 3, (PROFILE_SIZE + 5,
     PROFILE_SIZE): mirrored at zero, and zero from `extent` on."""
     even = whitening()[1:2]
     return np.concatenate([even, whitening(), np.zeros((4, PROFILE_SIZE))])

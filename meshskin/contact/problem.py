@@ -24,7 +24,7 @@ MAX_LAYER_RATIO = 0.1
 (Poisson's ratio 0) to 7.5 % (1/2) smaller (tests/contact/test_layered.py)."""
 MIN_RELATIVE_CURVATURE = 1e-3
 """Lower bound on relative curvatures in CasADi expressions, in units of 1/(indenter radius): they
-stay positive where an iterate of the closed loop or an optimiser passes a hollow. Far below the
+stay positive where an iterate of the closed loop or an optimizer passes a hollow. Far below the
 relative curvature of a valid contact."""
 
 FIELD_REMEDY = 'contact.solve(model="field") holds for a single contact'

@@ -45,7 +45,7 @@ def check_type(kind: type, value: object, what: str) -> None:
 
 
 def check_path(what: str, value: object, *, error: type[MeshskinError] = ConfigError) -> Path:
-    """The value as a path. Raises `error` for what is none, as None."""
+    """The value as a path. Raises `error` for other values."""
     if not isinstance(value, str | os.PathLike):
         raise error(f"{what} must be a path", value=repr_short(value), remedy="give a file name")
     return Path(value)

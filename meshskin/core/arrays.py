@@ -71,6 +71,18 @@ def sums_by_group(values: Array, group: NDArray[np.integer], groups: int = 0) ->
     return sums.reshape(len(sums), *values.shape[1:])
 
 
+def means_by_group(
+    values: Array, group: NDArray[np.integer], groups: int = 0, weight: Array | None = None
+) -> Array:
+    """Means (m, ...) of the rows of `values` (k, ...) that have the same number in `group` (k,),
+    m as of `sums_by_group`, by default of equal `weight` (k,); NaN where a group has no weight."""
+    weight = np.ones(len(values)) if weight is None else weight
+    axes = (-1, *[1] * (values.ndim - 1))
+    total = np.bincount(group, weight, groups).reshape(axes)
+    with np.errstate(invalid="ignore"):
+        return sums_by_group(weight.reshape(axes) * values, group, groups) / total
+
+
 def rows_by_key(keys: NDArray[Any]) -> list[Index]:
     """Rows of equal `keys` (n,), in the order of the keys; one empty group for no keys."""
     order = np.argsort(keys, kind="stable")

@@ -23,7 +23,7 @@ from matplotlib.collections import EllipseCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from .arrays import Array
+from .arrays import Array, means_by_group
 
 MM = 1e3
 """Millimetres per metre."""
@@ -51,7 +51,7 @@ LIGHT = np.array([0.35, 0.55, 0.76])
 AMBIENT = 0.45
 """Brightness of a face along the light; one that faces it has 1."""
 LEAST_RANGE = 0.02
-"""Least range of a colour bar, relative to its end: smaller differences are not told apart."""
+"""Least range of a colour bar, relative to its end: smaller differences cannot be seen."""
 OUTLYING = 3.0
 """Range of the values, relative to that of 98 % of them, from which a colour bar leaves out the
 outermost 2 %, with arrows at its ends: a few values would take all colours."""
@@ -151,11 +151,9 @@ def coarser(vertices: Array, faces: NDArray[np.intp]) -> tuple[Array, NDArray[np
     cell = ((vertices - low) * (CELLS / extent)).astype(np.int64)
     key = (cell[:, 0] * (CELLS + 1) + cell[:, 1]) * (CELLS + 1) + cell[:, 2]
     _, group = np.unique(key, return_inverse=True)
-    count = np.bincount(group)
-    mean = np.stack([np.bincount(group, vertices[:, k]) / count for k in range(3)], axis=1)
     corners = group[faces]
     a, b, c = corners.T
-    return mean, corners[(a != b) & (b != c) & (c != a)]
+    return means_by_group(vertices, group), corners[(a != b) & (b != c) & (c != a)]
 
 
 def _draw_body(ax: Axes, view: View, vertices: Array, faces: NDArray[np.intp]) -> None:

@@ -1,4 +1,4 @@
-"""Progress of long work, told to a hook: progress(stage, done, total).
+"""Progress of long work, reported to a hook: progress(stage, done, total).
 
 The hook is called in the thread of the work, between its steps and never while a file is being
 written. What it raises ends the work: KeyboardInterrupt or any other exception reaches the caller,

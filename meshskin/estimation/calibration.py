@@ -186,7 +186,7 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
         belief: Belief | None = None,
         progress: Progress | None = None,
     ) -> CrossValidation:
-        """Errors of contacts that are localised by a skin calibrated without them, and by the
+        """Errors of contacts that are localized by a skin calibrated without them, and by the
         centroid of the taxels that read (cross_validation.py); no truth is needed.
 
         recording: what was calibrated. belief: as in `calibrate`; only a calibration that was

@@ -38,7 +38,7 @@ class Comparison:
     missing: dict[str, str] = field(default_factory=dict)
     """Why each other method gave none."""
     left_out: tuple[str, ...] = ()
-    """Those of them that there was no time for."""
+    """Methods that there was no time for."""
 
     def errors(self, skin: Skin) -> dict[str, dict[str, Any]]:
         """Position errors, mm, of each method against the true skin, or why there are none."""

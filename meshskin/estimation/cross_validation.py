@@ -1,4 +1,4 @@
-"""Cross-validation: contacts held out whole, localised by the skin calibrated on the others.
+"""Cross-validation: contacts held out whole, localized by the skin calibrated on the others.
 
 It needs no truth: a contact's place is known as well as the robot knows where it was touched.
 Contacts near each other in time are nearly copies of each other, so they are held out in blocks of
@@ -37,7 +37,7 @@ WAYPOINTS = 8
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation(Value):
-    """m pressed contacts, each localised without it; NaN where fewer than three taxels read."""
+    """m pressed contacts, each localized without it; NaN where fewer than three taxels read."""
 
     points: Array
     """Where the contacts were (m, 3), body frame, m."""
@@ -62,7 +62,7 @@ class CrossValidation(Value):
 
     @property
     def centroid_errors(self) -> Array:
-        """Those of the baseline (m,), m, in the same contacts."""
+        """Errors (m,), m, of the baseline in the same contacts."""
         off = np.linalg.norm(self.centroids - self.points, axis=1)
         return np.where(np.isfinite(self.localized[:, 0]), off, np.nan)
 
@@ -84,7 +84,7 @@ class CrossValidation(Value):
 
 
 def _summary(errors: Array) -> dict[str, float | None]:
-    """Rms and 95th percentile, mm; None where no contact was localised."""
+    """Rms and 95th percentile, mm; None where no contact was localized."""
     errors = 1e3 * errors[np.isfinite(errors)]
     if not len(errors):
         return {"rms": None, "p95": None}
@@ -194,6 +194,6 @@ def held_out_in_words(metrics: dict[str, Any]) -> str:
     if error is None:
         return "no contact was read by three taxels"
     return (
-        f"{metrics['localized']} of {metrics['contacts']} contacts localised to {error:.3g} mm "
+        f"{metrics['localized']} of {metrics['contacts']} contacts localized to {error:.3g} mm "
         f"rms, {baseline:.3g} by the centroid"
     )

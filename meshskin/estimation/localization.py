@@ -1,4 +1,4 @@
-"""Contacts localised on the body from their readings alone, by a calibrated skin.
+"""Contacts localized on the body from their readings alone, by a calibrated skin.
 
 The likelihood of a contact's readings, silences and saturated readings included, is maximized over
 the two surface coordinates of the contact; its force is as measured. The measurement function is
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.arrays import Array, sums_by_group
+from ..core.arrays import Array, means_by_group, sums_by_group
 from .data.global_parameters import MOTION, MOVES, PRIORS, SIZES, WARMING
 from .data.measurements import Measurements
 from .data.pairs import near_pairs
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .calibration import Calibration
 
 LEAST = 3
-"""Readings of a contact that is localised: of two, one is left to choose between the two places
+"""Readings of a contact that is localized: of two, one is left to choose between the two places
 that mirror each other across the line between both taxels."""
 AT_REST = 5.0
 """Standard deviations above what a taxel reads at rest, from which it is pressed."""
@@ -42,7 +42,7 @@ STEP = 0.5
 ITERATIONS = 30
 """Largest number of steps; 6 to 10 are usual."""
 CONVERGED = 1e-7
-"""Length of a step, m, from which a contact is localised."""
+"""Length of a step, m, from which a contact is localized."""
 FLOOR = 1e-9
 """Least damping, relative to the largest curvature of a contact: no taxel in reach has none."""
 
@@ -169,11 +169,10 @@ class CalibratedSkin:
         """`centroids` of the readings `rows`, sorted by contact."""
         m = len(self.data.points)
         contact, weight = self.data.contact[rows], self.data.pressure[rows]
-        total = np.bincount(contact, weight, m)
-        mean = sums_by_group(weight[:, None] * self.points[self.data.taxel[rows]], contact, m)
-        out, some = np.full((m, 3), np.nan), total > 0
-        out[some] = self.data.body.closest(mean[some] / total[some, None]).point
-        return out
+        mean = means_by_group(self.points[self.data.taxel[rows]], contact, m, weight)
+        some = np.isfinite(mean[:, 0])
+        mean[some] = self.data.body.closest(mean[some]).point
+        return mean
 
     def localize(self, contacts: np.ndarray) -> Array:
         """Places (m, 3), m, of `contacts` (rows); NaN for others, and for those that fewer than

@@ -18,10 +18,8 @@ RIVAL = "a second position {:.2g} mm away fits nearly as well"
 """Fault of a taxel whose readings have two optima."""
 SHARED_ERRORS = "errors that readings of contacts near one another {} share"
 """Factor of an estimate whose standard deviations hold such errors."""
-MISFITTING = (
-    "without {} contacts whose readings fit no others: bumps, jumps of the curvature, wrong points"
-)
-"""Factor of an estimate that some contacts were left out of."""
+ALIKE_CONTACTS = "errors of the contact points that are alike over the body"
+"""Factor of an estimate whose standard deviations hold a field of such errors."""
 CENSORING = "silent readings, censored at the threshold"
 """Factor of an estimate with known noise."""
 CONTACT_POINTS = (

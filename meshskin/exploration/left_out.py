@@ -31,7 +31,7 @@ REFUSED = collision.HOLLOW, collision.EDGE, collision.SUPPORT, "does not hold"
 NOT_COVERED = "no contact passes near it"
 ONE_LINE = "contacts pass near it along one line only"
 SPARSE = NOT_COVERED, ONE_LINE
-"""Beginnings of the reasons that closer lanes mend."""
+"""Beginnings of the reasons that closer lanes remove."""
 
 
 Blocked = tuple[Array, Array]
@@ -51,8 +51,8 @@ def too_wide(spacing: float, radius: float) -> str:
 def still_left_out(
     skin: Skin, radius: float, segments: list[Path], blocked: list[Blocked], before: dict[int, str]
 ) -> dict[int, str]:
-    """Those of the taxels left out before that are left out with more segments, whose contacts are
-    felt at a smaller radius, m, too."""
+    """Taxels left out `before` that are still left out with more segments, whose contacts are
+    felt at a smaller radius, m, too; and the reason of each."""
     now = taxels_left_out(skin, radius, segments, blocked)
     return {taxel: why for taxel, why in now.items() if taxel in before}
 

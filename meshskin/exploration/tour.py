@@ -23,7 +23,7 @@ LONGEST_LINK = 8.0
 """Longest slide from lane to lane, in lane spacings. Chosen: 28 mm take 0.6 s at 50 mm/s, less than
 a lift, a transfer and a new approach."""
 SAME_SIDE = 0.5
-"""Least cosine of the angle between the normals of neighboring samples of a slide: a slide through
+"""Least cosine of the angle between the normals of neighbouring samples of a slide: a slide through
 a thin body comes out on its other side."""
 
 SPIN_WIDTHS = (6.0, 2.0, 0.0)

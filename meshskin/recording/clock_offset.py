@@ -9,7 +9,7 @@ to each contact at each candidate offset d, and the contacts are pooled by their
 
 R_c the sum of squares of contact c, n_c its frames, s_c the noise of its sum. The standard
 deviation is that of the jackknife over contacts. A lag of the skin itself, such as creep, is part
-of the offset: the two are not told apart.
+of the offset: the two are not distinguished.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..core.arrays import Array, runs
 
 LARGEST = 0.5
-"""Largest offset that is looked for, s: clocks that are synchronised at all, or stamps at receipt,
+"""Largest offset that is looked for, s: clocks that are synchronized at all, or stamps at receipt,
 are nearer."""
 COARSE, FINE = 4e-3, 5e-4
 """Steps, s, of the candidates: the first finds the peak, which is some tens of ms wide, the second
@@ -142,8 +142,8 @@ class _Path:
     integral: Array
     """Integral (m, k) of the state over time."""
     width: float
-    """Time, s, that is averaged over: two samples of the state at least, lest its noise depend on
-    how a candidate falls between them."""
+    """Time, s, that is averaged over: at least two samples of the state, so that its noise does not
+    depend on how a candidate falls between them."""
 
     @classmethod
     def of(cls, times: Array, states: Array, frame: float) -> _Path:

@@ -8,6 +8,8 @@ how well body and kinematics agree.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pyarrow as pa
 
@@ -18,6 +20,11 @@ from .recording import CONTACTS, JOINT_ANGLES, NOMINAL, READINGS, Recording
 from .skin_log import SkinLog
 from .tare import MAD
 
+NOMINAL_FORCE = 1.0
+"""Force, N, where neither log nor belief has one: the learned response scales with it."""
+SUDDEN = 0.5
+"""Change of the force within a frame, relative to it, from which it is not known: half a frame of
+error in its time would be a quarter of it."""
 MIN_JUDGED = 20
 """Frames in contact from which the median of their forces is judged."""
 MAX_MISSING = 0.2
@@ -93,6 +100,35 @@ def _check_forces(force: Array, in_contact: np.ndarray) -> None:
             limit=f"its noise, {noise:.3g} N",
             remedy="check the wrench's axis in the map, and its clock, or leave the wrench out",
         )
+
+
+def typical_force(log: SkinLog) -> float:
+    """Median of the forces that press, N, in frames in contact of a log; the nominal one without.
+
+    The clock of the skin is not known yet: forces are judged by `contact_frames` where it is.
+    """
+    if log.force is None:
+        return NOMINAL_FORCE
+    pressed = log.force[log.in_contact & (log.force > 0)]
+    return float(np.median(pressed)) if len(pressed) else NOMINAL_FORCE
+
+
+def at_clock(log: SkinLog, offset: float) -> SkinLog:
+    """The log with the forces at the times of its contacts, where the stamps of its frames are late
+    by `offset`, s: the wrench is on the clock of the joints.
+
+    NaN where the force rises or falls by more than SUDDEN within a frame of the skin.
+    """
+    if log.force is None or not offset:
+        return log
+    known = np.isfinite(log.force)
+    frame = float(np.median(np.diff(log.time)))
+    before, force, after = (
+        np.interp(log.time - offset + shift, log.time[known], log.force[known])
+        for shift in (-frame, 0.0, frame)
+    )
+    sudden = np.minimum(before, after) < (1 - SUDDEN) * force
+    return replace(log, force=np.where(sudden, np.nan, force))
 
 
 def recording_of(

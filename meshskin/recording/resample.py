@@ -14,7 +14,8 @@ from .clock_offset import ClockOffset, clock_offset
 from .log_map import LogMap, StreamMap
 from .skin_log import SkinLog
 from .stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, overlap
-from .tare import BLOCK, COLUMNS, MAD, MIN_REST, Tared, tare
+from .stream_checks import check_single, without_garbage
+from .tare import BLOCK, COLUMNS, MAD, MIN_REST, Tared, at_rest, tare
 
 REST_SIGMAS = 3.0
 """Force in standard deviations of its noise at rest, up to which it counts as zero."""
@@ -36,22 +37,26 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     """The streams of a log that was read with `log_map`, at the frames of its first skin.
 
     Raises ConfigError for a map without taxels and for taxels or joints that occur twice,
-    RecordingError for a log that was not read with the map, times that run backwards, streams that
-    do not overlap in time, and a skin that never answers.
+    RecordingError for a log that was not read with the map, times that run backwards, streams of
+    two publishers, streams that do not overlap in time, and a skin that never answers.
     """
-    pairs = paired(log, log_map)
+    pairs, notes = [], [*log.notes]
+    for stream, given in paired(log, log_map):
+        sound, note = without_garbage(stream)
+        pairs.append((sound, given))
+        notes += [note] if note else []
     skins = [pair for pair in pairs if pair[1].kind == TAXELS]
     if not skins:
         raise ConfigError("the map names no taxels", remedy='add a stream of kind = "taxels"')
     for stream, _ in pairs:
         stream.check_times()
+        check_single(stream)
     overlap([stream for stream, _ in pairs if stream.kind != CONTACTS])
     ids = _ids(skins)
     tared = {s.name: tare(s.times, s.values, m.polarity, s.name) for s, m in skins}
     times = skins[0][0].times - (skins[0][1].delay or 0.0)
     base = tared[skins[0][0].name]
     offsets = _offsets(times, base, pairs) if skins[0][1].delay is None else ()
-    notes = [*log.notes]
     offset = 0.0
     if offsets and offsets[0].usable:
         offset = offsets[0].offset
@@ -280,19 +285,25 @@ def _force_at_rest(
 
 
 def _rest_level(frames: Array, values: Array, in_contact: NDArray[np.bool_], name: str) -> Array:
-    """Mean (n, k) of the values without contact, in blocks of time, linear between them."""
+    """Medians (n, k) of the values at rest, in blocks of time, linear between them.
+
+    The median, as the indenter may press beside the taxels, and as the skin's stamps may be late.
+    Raises RecordingError where no block has enough frames without contact.
+    """
     block = ((frames - frames[0]) / BLOCK).astype(int)
-    count = np.bincount(block)
-    rest = np.bincount(block[~in_contact], minlength=len(count))
-    known = np.flatnonzero((rest > 0) & (rest >= MIN_REST * count))
-    if not len(known):
+    for rest in (at_rest(frames, in_contact), ~in_contact):
+        count = np.bincount(block)
+        quiet = np.bincount(block[rest], minlength=len(count))
+        known = np.flatnonzero((quiet > 0) & (quiet >= MIN_REST * count))
+        if len(known):
+            break
+    else:
         raise RecordingError(
             f"the level of {name} at rest is not known: the skin is in contact all the time",
             remedy="lift off the robot for a second at the start of a log",
         )
-    out = np.empty_like(values)
-    for k, column in enumerate(values.T):
-        sums = np.bincount(block[~in_contact], column[~in_contact], len(count))
-        middle = np.bincount(block[~in_contact], frames[~in_contact], len(count))
-        out[:, k] = np.interp(frames, middle[known] / rest[known], sums[known] / rest[known])
-    return out
+    at = [rest & (block == k) for k in known]
+    middle = np.array([frames[rows].mean() for rows in at])
+    levels = np.array([np.median(values[rows], axis=0) for rows in at])
+    columns = [np.interp(frames, middle, level) for level in levels.T]
+    return np.stack(columns, axis=1)

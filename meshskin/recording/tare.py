@@ -101,7 +101,7 @@ def tare(
         up, down = np.sum(np.maximum(strongest - on, 0.0), axis=1)
         falling = polarity == FALLING or (polarity == AUTO and down > up)
         in_contact = segment(strongest[int(falling)], on, off)
-        rest = _at_rest(times, in_contact)
+        rest = at_rest(times, in_contact)
         if rest.mean() >= MIN_REST:
             for part in columns:
                 noise[part] = _scatter(readings[rest, part], noise[part], floor[part], on)
@@ -202,7 +202,7 @@ def _densest(values: NDArray[np.number], edges: NDArray[np.intp]) -> Array:
     return np.asarray(np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0))
 
 
-def _at_rest(times: Array, in_contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def at_rest(times: Array, in_contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Frames (n,) that are not in contact nor within GUARD of one."""
     rest = ~in_contact
     for contact in runs(in_contact):

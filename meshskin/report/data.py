@@ -78,7 +78,7 @@ class Iterations:
         truth: Skin | None,
         demonstration: Demonstration | None,
     ) -> Iterations | None:
-        """Those of the demonstration, or else of the first pose graph that kept its iterates."""
+        """Iterates of the demonstration, or else of the first pose graph that kept them."""
         if demonstration is not None:
             return cls(demonstration.iterates, demonstration.truth, True, True)
         for c in calibrations:
@@ -114,8 +114,9 @@ class ReportData:
     body: Body | None = None
 
     def __post_init__(self) -> None:
-        stages = {k: v for k, v in self.calibration.seconds.items() if k != "total"}
-        object.__setattr__(self, "seconds", self.seconds or stages)
+        seconds = self.seconds or self.calibration.seconds
+        stages = {k: v for k, v in seconds.items() if k != "total"}  # which is their sum
+        object.__setattr__(self, "seconds", stages)
         object.__setattr__(self, "provenance", self.provenance or self.calibration.provenance)
 
     @cached_property

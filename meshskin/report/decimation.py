@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.arrays import Array, median_spacing, sums_by_group
+from ..core.arrays import Array, means_by_group, median_spacing
 from ..geometry.surface.fans import vertex_normals
 from .plane import finite_rows
 
@@ -57,12 +57,7 @@ def _cluster(v: Array, f: Faces, near: NDArray[np.bool_], cell: float) -> tuple[
     key = (grid[:, 0] << 40) + (grid[:, 1] << 20) + grid[:, 2]
     key[near] = -1 - np.flatnonzero(near)  # a cell of its own
     _, label = np.unique(key, return_inverse=True)
-    count = np.bincount(label)
-
-    def mean(values: Array) -> Array:
-        return sums_by_group(values, label) / count[:, None]
-
-    centre, normal = mean(v), mean(vertex_normals(v, f))
+    centre, normal = means_by_group(v, label), means_by_group(vertex_normals(v, f), label)
     g = label[f]
     g = g[(g[:, 0] != g[:, 1]) & (g[:, 1] != g[:, 2]) & (g[:, 2] != g[:, 0])]
     # two faces on the same vertices are a fold; both are removed, so that the surface stays closed

@@ -1,6 +1,6 @@
 """Sections that a report on a real recording has in place of errors: no truth is needed.
 
-How well held-out contacts are localised, and what the contacts say of the robot's kinematics.
+How well held-out contacts are localized, and what the contacts say of the robot's kinematics.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def validation(data: ReportData) -> dict[str, list[str]]:
     ]
     words = (
         f"Contacts were held out in {m['folds']} folds, in blocks of consecutive ones, and "
-        "localised from their readings alone by the skin calibrated on the others: "
+        "localized from their readings alone by the skin calibrated on the others: "
         f"{m['localized']} of {m['contacts']} contacts, the others having been read by fewer than "
         "three taxels. The error is the distance from the recorded contact point, whose own error "
         "it contains.",
@@ -68,5 +68,5 @@ def validation(data: ReportData) -> dict[str, list[str]]:
         f"{compact(m['log_likelihood_per_reading'], 4)} per reading, in the recorded unit; it "
         "compares calibrations of the same recording.",
     )
-    header = ("contacts localised by", "rms error (mm)", "95th percentile (mm)")
+    header = ("contacts localized by", "rms error (mm)", "95th percentile (mm)")
     return {HELD_OUT: [table(header, rows, numeric=(1, 2)), paragraphs(*words)]}

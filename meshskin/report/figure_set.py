@@ -135,11 +135,11 @@ def estimates(folder: Path, data: ReportData) -> SavedFigure | None:
         "fig5_estimates",
         maps.estimates(data),
         "Estimated and true positions (the paper's fig. 5)",
-        "True discs in their size and estimated centers, on the tangent plane at the skin's center "
+        "True discs in their size and estimated centres, on the tangent plane at the skin's centre "
         "seen from outside; errors are enlarged by the factor in the legend. Good: short error "
         "lines in random directions; lines in one direction mean a shift of the whole skin."
         + _projection_note(data),
-        "Map of true discs with estimated centers and enlarged errors",
+        "Map of true discs with estimated centres and enlarged errors",
     )
 
 
@@ -190,10 +190,10 @@ def coverage(folder: Path, data: ReportData) -> SavedFigure | None:
         "coverage",
         maps.coverage(data),
         "Coverage of the exploration",
-        "Number of readings of each taxel (colors on a logarithmic scale)"
+        "Number of readings of each taxel (colours on a logarithmic scale)"
         + ("" if data.recording is None else ", and the path of the contact over the skin")
         + ". Good: no crosses, passes on both sides of every taxel, and no taxel much darker than "
-        "its neighbors."
+        "its neighbours."
         + (lost if missing and data.truth is None else "")
         + _projection_note(data),
         "Map of readings per taxel with the contact path",

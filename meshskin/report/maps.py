@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SATURATION = 3.0
-"""Standard deviation, in the median one, from which all have one color."""
+"""Standard deviation, in the median one, from which all have one colour."""
 RASTERIZE_ABOVE = 500
 """Marks above which a figure's marks are rasterized: each takes 1 kB of SVG."""
 
@@ -103,7 +103,7 @@ CROSS: dict[str, Any] = {"ls": "", "marker": "x", "color": theme.WARNING}
 
 @theme.styled
 def estimates(data: ReportData) -> Figure:
-    """Fig. 5: true discs and estimated centers on the tangent plane, with enlarged errors.
+    """Fig. 5: true discs and estimated centres on the tangent plane, with enlarged errors.
 
     The disc of a taxel without an estimate is crossed out.
     """
@@ -218,8 +218,10 @@ def coverage(data: ReportData) -> Figure:
     if len(route):
         assert data.recording is not None
         line, _ = path_with_breaks(data.recording.points, data.recording.time)
-        mark: dict[str, Any] = {"marker": ".", "ms": 1.0, "lw": 0.5, "alpha": 0.7}
-        axes.plot(*plane.project(line).T, color=theme.MUTED, zorder=3, **mark)
+        style: dict[str, Any] = {"color": theme.MUTED, "alpha": 0.7, "zorder": 3}
+        axes.plot(*plane.project(line).T, lw=0.5, **style)
+        many = len(line) > RASTERIZE_ABOVE
+        axes.plot(*plane.project(line).T, ".", ms=1.0, rasterized=many, **style)
         handles.append(_handle("path of the contact", color=theme.MUTED, lw=0.8))
     discs = _ellipses(axes, xy[touched], diameter, cmap=theme.SEQUENTIAL, linewidths=0)
     discs.set_array(counts[touched])
@@ -252,7 +254,7 @@ def ellipse_axes(covariances: ArrayLike) -> tuple[Array, Array]:
 
 @theme.styled
 def uncertainty(data: ReportData) -> Figure:
-    """The stated 1-sigma ellipse of each taxel's position, enlarged, with its size as color."""
+    """The stated 1-sigma ellipse of each taxel's position, enlarged, with its size as colour."""
     p, plane = data.calibration.positions, data.plane
     xy = plane.project(p)
     sigma, heading = ellipse_axes(plane.project_covariance(data.covariances))

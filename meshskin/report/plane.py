@@ -1,4 +1,4 @@
-"""The tangent plane at the skin's center, on which maps are drawn, and helpers of all figures."""
+"""The tangent plane at the skin's centre, on which maps are drawn, and helpers of all figures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ JUMP = 5.0
 """Distance between two contacts, in the median one, from which it is interrupted."""
 LEAST_PITCH = 1e-3
 """Least distance between taxels, m, that drawings go by."""
-LONGEST = 4.0
+LONGEST = 2.5
 """Longest error line or semi-axis that is drawn, in that of a usual taxel: longer ones would cover
 their neighbours, and leave the map."""
 MAX_PATH_POINTS = 4000
@@ -66,7 +66,7 @@ def finite_rows(values: ArrayLike) -> Array:
 
 
 def tangent_plane(points: ArrayLike, normals: ArrayLike) -> Plane:
-    """The tangent plane of a skin at its center, seen from outside.
+    """The tangent plane of a skin at its centre, seen from outside.
 
     points (n, 3), m; normals (n, 3), outward. Rows that are not finite are left out. Where the
     normals have no mean it is the plane that fits the points best. The second axis is the

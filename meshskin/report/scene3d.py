@@ -26,8 +26,8 @@ MAX_FACES = 5000
 """Most faces of the body in the page: 0.1 MB."""
 SUNK = 1e-3
 """Depth of the contacts below the body, m, from which it hides them."""
-FIELD_OF_VIEW = 0.36
-"""Tangent of half the angle that the axes take of the height of the view: 0.87 of what plotly's
+FIELD_OF_VIEW = 0.31
+"""Tangent of half the angle that the axes take of the height of the view: 0.75 of what plotly's
 camera sees, so that their numbers and titles are in view."""
 WIDTH = 1.6
 """Width of the view in its height, at least."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# The palette of Okabe and Ito, safe for color-blind readers; each color has one meaning.
+# The palette of Okabe and Ito, safe for colour-blind readers; each colour has one meaning.
 INK = "#1f2328"
 MUTED = "#6b7280"
 FAINT = "#d5d9de"
@@ -45,7 +45,7 @@ METHOD_COLOURS = {
     "hertz_gain": "#3d5a00",
     "learned": "#c1121f",
 }
-"""The color of each method, and of the joint estimate's variants, in every figure."""
+"""The colour of each method, and of the joint estimate's variants, in every figure."""
 SEQUENTIAL = "cividis"
 
 STYLE: dict[str, Any] = {
@@ -135,7 +135,7 @@ def log_ticks(
 
 
 def color_bar(figure: Figure, artist: Any, axes: Axes, label: str) -> Any:
-    """A thin color bar to the right of `axes`."""
+    """A thin colour bar to the right of `axes`."""
     box = axes.get_position()
     w = figure.get_size_inches()[0]
     bar = figure.add_axes((box.x1 + 0.12 / w, box.y0, 0.12 / w, box.height))

@@ -47,7 +47,7 @@ class Joint:
     axis: Array
     """Unit vector (3,) in the joint's frame."""
     limits: dict[str, float]
-    """Those of lower, upper, velocity and effort that the file gives."""
+    """"lower", "upper", "velocity" and "effort", as far as the file gives them."""
     dynamics: dict[str, float]
     """Damping and friction."""
     mimic: Mimic | None = None

@@ -5,7 +5,7 @@
 x is the indenter's centre in the body frame. The unknowns may be anything that moves it: offsets of
 joints, the mount of the body on its link, the indenter's place, a delay between clocks. `root`
 holds what is known of them before the readings: standard deviations on its diagonal, or the root of
-a covariance where other measurements than the readings have told of them.
+a covariance where measurements other than the readings constrain them.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class ContactMotion:
         return int(self.root.shape[1])
 
     def take(self, rows: np.ndarray) -> Self:
-        """That of the contacts `rows` (m,) bool. Raises ConfigError for another number of them."""
+        """The motion of the contacts `rows` (m,) bool. Raises ConfigError if m differs."""
         if len(rows) != len(self.slopes):
             raise ConfigError(
                 "a contact motion must have slopes of each contact of the recording",

@@ -69,7 +69,7 @@ class BatchSimulator:
         """Point pressures (count, taxels) of the last step, Pa, where they were asked for."""
         self.steps = 0
         self.state[:, : starts.shape[1]] = starts
-        self._locate(np.arange(count), loop.indenter_centers(loop.body_poses(starts)))
+        self._locate(np.arange(count), loop.indenter_centres(loop.body_poses(starts)))
         self._off_path = self.faces != track.faces[self.rows]
 
     def advance(self) -> Array:
@@ -97,7 +97,7 @@ class BatchSimulator:
         if margin.min() < -FACE_MARGIN:
             outside = np.flatnonzero(margin < -FACE_MARGIN)
             self._off_path[outside] = True
-            self._locate(outside, self._contact_centers(outside))
+            self._locate(outside, self._contact_centres(outside))
         if self._off_path.any():
             self._rejoin(faces)
         if self._reader is not None:
@@ -121,9 +121,9 @@ class BatchSimulator:
         self._anchors[:, PATCH:] = self.maps
         self._call()
 
-    def _locate(self, which: NDArray[np.intp], centers: Array) -> None:
-        """Anchor some episodes at the foot point of the indenter's center (k, 3), body frame."""
-        hit = self.body.closest(centers, face=self.faces[which])
+    def _locate(self, which: NDArray[np.intp], centres: Array) -> None:
+        """Anchor some episodes at the foot point of the indenter's centre (k, 3), body frame."""
+        hit = self.body.closest(centres, face=self.faces[which])
         self.state[which, -2:] = hit.uv
         self.faces[which] = hit.face
 
@@ -134,8 +134,8 @@ class BatchSimulator:
         margin = face_margin(map_foot(maps, self.state[out, -2:]))
         self._off_path[out] = margin < -FACE_MARGIN / 2
 
-    def _contact_centers(self, which: NDArray[np.intp]) -> Array:
-        """The indenter's center (k, 3), body frame, by the outputs of some episodes."""
+    def _contact_centres(self, which: NDArray[np.intp]) -> Array:
+        """The indenter's centre (k, 3), body frame, by the outputs of some episodes."""
         rows, outputs = self.loop.outputs, self.outputs[which]
         gap = self.loop.indenter_radius - outputs[:, rows["depth"]]
         return outputs[:, rows["point"]] + gap * outputs[:, rows["normal"]]

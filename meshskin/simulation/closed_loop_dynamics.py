@@ -24,7 +24,7 @@ speeds stay bounded near singular ones. Lost position is path error: those rows 
 (tests/hard/test_motion_stability.py runs the Puma through its wrist's singularity)."""
 MIN_CURVATURE = 1.0
 """Curvature, 1/m, below which the force part of the law treats the body as a sphere of 1 m: its
-center must stay at a finite distance."""
+centre must stay at a finite distance."""
 COULOMB_SPEED = 5e-3
 """Joint speed, rad/s, at which the smoothed Coulomb friction is tanh(1) of its full value: far
 below the joint speeds of an exploration, and resolved by steps of 1 ms."""
@@ -70,7 +70,7 @@ class ClosedLoopDynamics:
     """The equations of a closed loop.
 
     The inputs of a step are symbols: reference (18,), anchor (69,), parameters (9,). `newton`:
-    Newton steps from the previous foot point of the indenter's center to the new one.
+    Newton steps from the previous foot point of the indenter's centre to the new one.
     """
 
     def __init__(self, loop: ClosedLoopModel, newton: int = 1) -> None:
@@ -107,8 +107,8 @@ class ClosedLoopDynamics:
         rotation, position = pose[:3, :3], pose[:3, 3]
         jacobian = shift_jacobian(self.model.jacobian(q), position - tip[:3, 3])
 
-        center = rotation.T @ (ca.DM(loop.indenter_position) - position)
-        contact = surface_contact(self.anchor, uv, center, p, loop.contact, self.newton)
+        centre = rotation.T @ (ca.DM(loop.indenter_position) - position)
+        contact = surface_contact(self.anchor, uv, centre, p, loop.contact, self.newton)
         normal, lever = rotation @ contact.normal, rotation @ contact.point
         at_contact = shift_jacobian(jacobian, lever)
         depth_gradient = at_contact[:3, :].T @ normal
@@ -119,11 +119,11 @@ class ClosedLoopDynamics:
         speed = compliance.force_speed(p, slope, depth, force) * (1.0 - p.track_normal)
         curvature = ca.fmax(contact.curvature, MIN_CURVATURE)
         if loop.law.surface == "exact":
-            shape = rotation @ self.normal_gradient(uv, center) @ rotation.T
-            at_center = shift_jacobian(jacobian, ca.DM(loop.indenter_position) - position)
+            shape = rotation @ self.normal_gradient(uv, centre) @ rotation.T
+            at_centre = shift_jacobian(jacobian, ca.DM(loop.indenter_position) - position)
             distance = 1.0 / curvature + p.indenter_radius - contact.depth
-            rows = compliance.force_rows(at_center, normal, shape, distance)
-        else:  # the paper's sphere: the Jacobian of the (osculating) sphere's center
+            rows = compliance.force_rows(at_centre, normal, shape, distance)
+        else:  # the paper's sphere: the Jacobian of the (osculating) sphere's centre
             rows = shift_jacobian(jacobian, lever - normal / curvature)[:3, :]
         normal_motion = compliance.damped_inverse(rows, ca.DM([FORCE_DAMPING] * 3), normal)
         omega, velocity = compliance.path_twist(
@@ -167,12 +167,12 @@ class ClosedLoopDynamics:
             drag += ca.DM(arm.friction) * ca.tanh(qdot / COULOMB_SPEED)
         return drag
 
-    def normal_gradient(self, uv: ca.SX, center: ca.SX) -> ca.SX:
-        """dn/dc (3, 3), 1/m, of the contact normal by the indenter's center, body frame, by
+    def normal_gradient(self, uv: ca.SX, centre: ca.SX) -> ca.SX:
+        """dn/dc (3, 3), 1/m, of the contact normal by the indenter's centre, body frame, by
         automatic differentiation."""
         c = ca.SX.sym("c", 3)
         contact = surface_contact(self.anchor, uv, c, self.p, self.loop.contact, self.newton)
-        return ca.substitute(ca.jacobian(contact.normal, c), c, center)
+        return ca.substitute(ca.jacobian(contact.normal, c), c, centre)
 
     def derivative(self) -> ca.Function:
         """(q, qdot, contact state, ahead, reference, anchor, parameters) -> (acceleration, next

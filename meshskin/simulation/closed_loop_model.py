@@ -173,8 +173,8 @@ class ClosedLoopModel:
         line = self.indenter_position, self.indenter_direction
         return turntable.follow(self.arm, tips, q, *line)
 
-    def indenter_centers(self, poses: Array) -> Array:
-        """The indenter's center (k, 3) in the body frame, m, at body poses T_w_b (k, 4, 4)."""
+    def indenter_centres(self, poses: Array) -> Array:
+        """The indenter's centre (k, 3) in the body frame, m, at body poses T_w_b (k, 4, 4)."""
         offset = self.indenter_position - poses[:, :3, 3]
         return np.asarray(np.einsum("kji,kj->ki", poses[:, :3, :3], offset))
 

@@ -2,7 +2,7 @@
 
 Source: Cannata, Denei, Mastrogiovanni, "Towards automated self-calibration of robot skin" (ICRA
 2010), eq. 2-11. For a contact with outward body normal n, penetration delta and distance d between
-the centers of body and indenter, a velocity v of the body's center changes the contact force
+the centres of body and indenter, a velocity v of the body's centre changes the contact force
 f_c = -K_c delta^(3/2) n by
 
     d f_c / dt = -K_c zeta v,    zeta = -(delta^(3/2) / d) (I - n n^T) + (3/2) delta^(1/2) n n^T
@@ -10,12 +10,12 @@ f_c = -K_c delta^(3/2) n by
 and the law asks for qdot_f = (gamma / K_c) (zeta J)^+ (f_c - f*), f* = -f_ref n. Two misprints of
 eq. 10 are corrected here: delta in place of delta^(3/2) in its last form, and a sign in its second
 line (tests compare zeta with automatic differentiation). On any surface the contact moves with the
-body's whole twist (v, omega), v at the indenter's center, and zeta becomes
+body's whole twist (v, omega), v at the indenter's centre, and zeta becomes
 
     d f_c / dt = -K_c Z (v, omega),
     Z = ((3/2) delta^(1/2) n n^T - delta^(3/2) S, -delta^(3/2) [n]_x),
 
-S = dn/dc (3, 3) the derivative of the normal by the center in the body's frame, in world axes;
+S = dn/dc (3, 3) the derivative of the normal by the centre in the body's frame, in world axes;
 (I - n n^T) / d on a sphere. The change of K_c along the surface is neglected.
 """
 
@@ -34,9 +34,9 @@ slope vanishes at depth 0. It makes the speed at the touch 4/3 gamma times the r
 def force_rows(jacobian: Any, n: Any, shape: Any, length: Any) -> Any:
     """Rows (3, n) whose pseudoinverse times `force_speed` n is (Z J)^+ (gamma / K_c) (f_c - f*).
 
-    jacobian (6, n) at the indenter's center; shape (3, 3): S. f_c - f* is along n, an eigenvector
+    jacobian (6, n) at the indenter's centre; shape (3, 3): S. f_c - f* is along n, an eigenvector
     of the normal part of Z. The tangential part, which keeps the normal from turning, is scaled by
-    `length`, m (the distance of the centers on the sphere), in place of delta^(3/2).
+    `length`, m (the distance of the centres on the sphere), in place of delta^(3/2).
     """
     linear, angular = jacobian[:3, :], jacobian[3:, :]
     turning = shape @ linear + ca.skew(n) @ angular

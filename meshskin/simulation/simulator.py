@@ -200,11 +200,11 @@ class Simulator:
         return np.asarray(maps[0])
 
     def _relocate(self) -> None:
-        """Continue from the foot point of the indenter's center, searched for on the mesh."""
+        """Continue from the foot point of the indenter's centre, searched for on the mesh."""
         loop = self.loop
-        center = loop.indenter_centers(loop.body_poses(self.state[None, : self.size]))[0]
-        hit = self.body.closest(center[None])
-        offset = center - hit.point[0]
+        centre = loop.indenter_centres(loop.body_poses(self.state[None, : self.size]))[0]
+        hit = self.body.closest(centre[None])
+        offset = centre - hit.point[0]
         if hit.normal[0] @ offset < EDGE_COSINE * np.linalg.norm(offset):
             raise EdgeError(
                 f"the contact ran over an edge of the body at {self._at(self.state)}",
@@ -219,7 +219,7 @@ class Simulator:
         """Face and foot point (2,) to continue with where the foot point may lie on a ridge.
 
         Of the faces that meet there, the one whose normal is closest to `offset` (3,), from the
-        foot point to the indenter's center: the planes of the others extend over it, and would hold
+        foot point to the indenter's centre: the planes of the others extend over it, and would hold
         the indenter off.
         """
         face, uv = int(hit.face[0]), hit.uv[0]

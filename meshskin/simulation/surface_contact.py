@@ -27,7 +27,7 @@ class SurfaceContact:
 
     u: ca.SX
     v: ca.SX
-    """(u, v): foot point of the indenter's center in the patch's parameters."""
+    """(u, v): foot point of the indenter's centre in the patch's parameters."""
     point: ca.SX
     """Contact point (3,), m."""
     normal: ca.SX
@@ -92,9 +92,9 @@ class SurfaceContact:
 
 
 def surface_contact(
-    anchor: ca.SX, uv: ca.SX, center: ca.SX, p: Parameters, model: ContactModel, newton: int = 1
+    anchor: ca.SX, uv: ca.SX, centre: ca.SX, p: Parameters, model: ContactModel, newton: int = 1
 ) -> SurfaceContact:
-    """The contact of an indenter centered at `center` (3,), body frame, m.
+    """The contact of an indenter centreed at `centre` (3,), body frame, m.
 
     anchor (69,): see closed_loop_model.ANCHOR; uv (2,): the previous foot point. newton: number of
     Newton steps from there to the new foot point; one suffices for a method of order 1.
@@ -102,8 +102,8 @@ def surface_contact(
     patch = ca.reshape(anchor[: 3 * len(POWERS)], len(POWERS), 3)
     face_map = ca.reshape(anchor[3 * len(POWERS) :], 2, 3)
     start = face_map @ ca.vertcat(uv, 1.0)
-    u, v, point, normal, curvatures = casadi_foot(patch, start[0], start[1], center, newton)
-    depth = p.indenter_radius - ca.dot(normal, center - point)
+    u, v, point, normal, curvatures = casadi_foot(patch, start[0], start[1], centre, newton)
+    depth = p.indenter_radius - ca.dot(normal, centre - point)
     force = model.force(
         depth=depth,
         curvature=curvatures,

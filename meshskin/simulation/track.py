@@ -55,7 +55,7 @@ class Track:
         return Track(self.references[rows], self.faces[rows], self.maps[rows])
 
     def on_face(self, face: int) -> Track:
-        """The same references, all over one face."""
+        """These references, all over one face."""
         count = len(self.references)
         return replace(self, faces=np.full(count, face), maps=np.tile(IDENTITY_MAP, (count, 1)))
 

@@ -45,11 +45,11 @@ def penetration(loop: ClosedLoopModel, body: Body, poses: Array) -> tuple[Closes
 
     On an open surface the distance is unsigned: far from it, its sign has no meaning.
     """
-    centers = loop.indenter_centers(poses)
+    centres = loop.indenter_centres(poses)
     if body.mesh.is_watertight:
-        hit = body.closest(centers)
+        hit = body.closest(centres)
         return hit, loop.indenter_radius - hit.distance
-    hit = body.surface.nearest(centers)
+    hit = body.surface.nearest(centres)
     return hit, loop.indenter_radius - np.abs(hit.distance)
 
 
@@ -79,8 +79,8 @@ def joint_path(loop: ClosedLoopModel, body: Body, start: Array, goal: Array) -> 
         samples = curve(np.linspace(0.0, seconds[-1], CLEARANCE_SAMPLES))
         within = (samples >= arm.lower).all() and (samples <= arm.upper).all()
         wanted = loop.indenter_radius + min(MIN_CLEARANCE, height + 1e-4)
-        centers = loop.indenter_centers(loop.body_poses(samples))
-        if within and body.closest(centers).distance.min() > wanted:
+        centres = loop.indenter_centres(loop.body_poses(samples))
+        if within and body.closest(centres).distance.min() > wanted:
             return np.asarray(curve(time_scaling(seconds[-1], RAMP, loop.dt) * seconds[-1]))
     raise ReachError(
         f"{arm.name} has no collision-free path over the indenter to the next posture",

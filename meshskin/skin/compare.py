@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..core.arguments import check_type
-from ..core.arrays import Array, neighbour_distances
+from ..core.arrays import Array, means_by_group, neighbour_distances
 from ..core.errors import SkinError
 from . import slots
 from .pairing import Pairing, distances, pair, pairing_by_id
@@ -203,7 +203,7 @@ def module_centres(ids: Ids, at: Array) -> tuple[Ids, Array]:
     The centre is slot 3, the origin of the module's frame; without it the mean of the taxels.
     """
     numbers, index = np.unique(slots.module(ids), return_inverse=True)
-    centres = np.stack([np.bincount(index, at[:, k]) / np.bincount(index) for k in range(3)], 1)
+    centres = means_by_group(at, index)
     origin = slots.slot(ids) == slots.CENTRE
     centres[index[origin]] = at[origin]
     return numbers, centres

@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..core.arrays import Array, Index, far_apart, neighbour_distances, sums_by_group
+from ..core.arrays import (
+    Array,
+    Index,
+    far_apart,
+    means_by_group,
+    neighbour_distances,
+    sums_by_group,
+)
 from ..core.errors import SkinError
 from ..core.progress import Stage
 from ..core.se3 import orthonormal_basis
@@ -243,8 +250,7 @@ def _propose(
     if not len(free):
         return Lattice(at, tangent, np.zeros(0))
     chosen, group = np.unique(_clusters(at.point, clearance), return_inverse=True)
-    mean = sums_by_group(at.point, group) / np.bincount(group)[:, None]
-    merged = body.closest(mean, face=at.face[chosen])
+    merged = body.closest(means_by_group(at.point, group), face=at.face[chosen])
     new = Lattice(merged, onto(tangent[chosen], merged.normal), np.zeros(len(chosen)))
     keep = np.flatnonzero(tree.query(merged.point)[0] > clearance)
     return new.take(keep[_separated(merged.point[keep], clearance)])

@@ -246,7 +246,7 @@ class Skin(Value, Card, Tabular):
         files.write(Path(path), kind, rows)
 
     def moved(self, T_b_a: ArrayLike, frame: str | None = None) -> Skin:
-        """The same taxels in another frame b; the skin is given in a, `T_b_a` (4, 4) is a's pose.
+        """This skin, given in frame a, in another frame b; `T_b_a` (4, 4) is the pose of a.
 
         `frame`: name of b.
 

@@ -118,7 +118,7 @@ def slide_distance(t: Any, speed: Any, ramp: Any, distance: Any) -> Any:
 def slide_start(
     scene: Scene, place: ArrayLike | None, direction: ArrayLike | None
 ) -> tuple[Array, Array]:
-    """Start (3,), m, and direction (3,) of the slide, body frame; by default the skin's center and
+    """Start (3,), m, and direction (3,) of the slide, body frame; by default the skin's centre and
     its first principal direction."""
     wanted = scene.skin.positions.mean(axis=0) if place is None else check_vector("place", place)
     hit = scene.body.closest(wanted[None])
@@ -145,12 +145,12 @@ def plan_manoeuvre(
             remedy="choose a shorter distance or another place",
         )
     basis = np.vander(s / distance, DEGREE + 1, increasing=True)
-    centers = points + (scene.indenter.radius - depth) * frames[:, :, 2]
+    centres = points + (scene.indenter.radius - depth) * frames[:, :, 2]
     headings = np.arange(HEADINGS) * 2 * np.pi / HEADINGS if heading is None else [heading]
     best: tuple[float, Manoeuvre] | None = None
     reason: ReachError | None = None
     for angle in headings:
-        poses = scene.rig.frame_poses(centers, frames, angle)
+        poses = scene.rig.frame_poses(centres, frames, angle)
         turned = poses[:, :3, :3].swapaxes(1, 2).reshape(-1, 9)
         rows = np.concatenate([points, poses[:, :3, 3], turned], axis=1)
         coefficients = np.linalg.lstsq(basis, rows, rcond=None)[0]

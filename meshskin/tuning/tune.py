@@ -69,7 +69,7 @@ def tune(
 
     The body comes down from the standoff, touches the indenter, rests, and slides `distance` (m)
     along a geodesic from `place` (3,) in `direction` (3,), body frame; by default from the skin's
-    center along its first principal direction. objective: "time", the least duration of the
+    centre along its first principal direction. objective: "time", the least duration of the
     manoeuvre; "force_error", the least RMS error of the force over the slide from the force that
     the scene asks for; or "settling", the least time from the touch until the force stays within
     `demands.settled` of its reference, with the slide of the scene. The worst of the scenarios

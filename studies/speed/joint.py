@@ -5,7 +5,7 @@
 
 Taxels lie at random distances of about 5 mm on a sphere that grows with their number, so that the
 contact is the same at every size; 50 readings per taxel at 80 taxels, 40 above. Every size runs in
-its own process, on one thread. "build" is everything before the optimisation: gathering the
+its own process, on one thread. "build" is everything before the optimization: gathering the
 recording, trilateration, selection of readings; "solve" is the rest. Exits with 1 if a size exceeds
 its limit in processor seconds. --large: 100,000 taxels with 4 million readings, too. --contact:
 hertz, elliptic (circles on a sphere, at the cost of ellipses) or layered (a layer of 6 mm).

@@ -10,10 +10,10 @@ best of the repeats, interleaved:
     solve     IPOPT with the check of its result; NLP and elimination order known before
     all       a new graph from its arrays: checks, building, start and solve
     again     a new graph of a topology that was solved before: start and solve
-    optimise  GTSAM's `optimize()` alone
+    optimize  GTSAM's `optimize()` alone
     gtsam all GTSAM's factor graph and values from the same arrays, and `optimize()`
 
-The ratios that are judged divide by `optimise`, the stricter one; those to `gtsam all` are printed,
+The ratios that are judged divide by `optimize`, the stricter one; those to `gtsam all` are printed,
 too. The exit code is 1 if one misses its target. --full: 50,000 taxels, too, without GTSAM.
 """
 
@@ -50,9 +50,9 @@ SIGMA = np.array([1e-3] * 3 + [0.02] * 3)
 SIZES = (80, 500, 2000, 10_000)
 LARGE = 50_000
 SOLVE = {80: 1.1, 500: 0.9, 2000: 0.75, 10_000: 0.65}
-"""Targets of solve / optimise."""
+"""Targets of solve / optimize."""
 ALL, AGAIN, JUDGED = 1.5, 1.0, (2000, 10_000)
-"""Targets of all / optimise and again / optimise, and the sizes where they are judged."""
+"""Targets of all / optimize and again / optimize, and the sizes where they are judged."""
 MARGINALS = {10_000: 3.0}  # s
 GROWTH, MEMORY = 1.4, 6.0  # exponent from 2,000 to 50,000 taxels, GB at 50,000
 
@@ -66,7 +66,7 @@ class Row:
     solve: float
     all: float
     again: float
-    optimise: float
+    optimize: float
     gtsam_all: float
     marginals: float
     proof: float
@@ -116,12 +116,12 @@ def gtsam_solver(graph: PoseGraph, start: np.ndarray) -> Callable[[], tuple[floa
     parameters = gtsam.GaussNewtonParams()
     parameters.setOrderingType("METIS")
 
-    def optimise() -> tuple[float, int]:
-        optimiser = gtsam.GaussNewtonOptimizer(factors, values, parameters)
-        optimiser.optimize()
-        return optimiser.error(), optimiser.iterations()
+    def optimize() -> tuple[float, int]:
+        optimizer = gtsam.GaussNewtonOptimizer(factors, values, parameters)
+        optimizer.optimize()
+        return optimizer.error(), optimizer.iterations()
 
-    return optimise
+    return optimize
 
 
 def timed(function: Callable[[], T]) -> tuple[float, T]:
@@ -162,7 +162,7 @@ def measure(taxels: int, repeats: int, peer: bool) -> Row:
 def show(row: Row) -> None:
     print(
         f"{row.taxels:7d} {row.edges:7d} {row.solve:8.4f} {row.all:8.4f} {row.again:8.4f}"
-        f" {row.optimise:8.4f} {row.gtsam_all:9.4f} {row.all / row.gtsam_all:8.2f}"
+        f" {row.optimize:8.4f} {row.gtsam_all:9.4f} {row.all / row.gtsam_all:8.2f}"
         f" {row.again / row.gtsam_all:8.2f} {row.marginals:9.3f} {row.proof:7.3f} {row.gap:7.0e}"
         f" {row.solve_gb:8.2f} {row.peak_gb:7.2f} {row.iterations:2d}/{row.gtsam_iterations}"
         f" {row.cost_off:8.0e}",
@@ -175,10 +175,10 @@ def judged(rows: list[Row]) -> list[tuple[str, float, float]]:
     found, by_size = [], {row.taxels: row for row in rows}
     for n, row in by_size.items():
         if n in SOLVE:
-            found.append((f"solve / optimise at {n}", row.solve / row.optimise, SOLVE[n]))
+            found.append((f"solve / optimize at {n}", row.solve / row.optimize, SOLVE[n]))
         if n in JUDGED:
-            found.append((f"all / optimise at {n}", row.all / row.optimise, ALL))
-            found.append((f"again / optimise at {n}", row.again / row.optimise, AGAIN))
+            found.append((f"all / optimize at {n}", row.all / row.optimize, ALL))
+            found.append((f"again / optimize at {n}", row.again / row.optimize, AGAIN))
         if n in MARGINALS:
             found.append((f"marginals at {n}, s", row.marginals, MARGINALS[n]))
     if LARGE in by_size:
@@ -206,7 +206,7 @@ def main() -> int:
         library(residual)  # compiled once per machine, loaded once per process
     skin_graph(80).solve()  # IPOPT and its BLAS, loaded once per process
     print(
-        " taxels   edges    solve      all    again optimise gtsam all all/all  again/all"
+        " taxels   edges    solve      all    again optimize gtsam all all/all  again/all"
         " marginals   proof     gap GB solve GB peak iterations cost"
     )
     rows = []
@@ -225,7 +225,7 @@ def main() -> int:
     }
     shown = {
         f"{row.taxels:,} taxels": {
-            name: getattr(row, name) / row.optimise for name in ("solve", "all", "again")
+            name: getattr(row, name) / row.optimize for name in ("solve", "all", "again")
         }
         for row in rows
     }

@@ -167,6 +167,9 @@ def test_every_option_of_a_body_is_one_of_calibrate_and_check(log, tmp_path, cap
     with pytest.raises(MeshError, match="not watertight"):
         body_of(log, file, "--units", "m")
     assert len(body_of(log, file, "--units", "m", "--open").mesh.faces) == len(dome.faces)
+    asked = ["calibrate", str(log), "--body", str(file), "--units", "m", "--out", str(tmp_path)]
+    assert cli.main([*asked, "--indenter-radius-mm", "10", "--young-kpa", "150"]) == 2
+    assert "or --open if it is meant to be open" in capsys.readouterr().err
     assert cli.main(["check", str(file), "--units", "m", "--open"]) == 0
     (tmp_path / "urdf").mkdir()
     urdf = tmp_path / "urdf" / "toy.urdf"
@@ -226,7 +229,7 @@ def test_why_taxels_are_left_out_is_said(log, tmp_path, capsys):
     (tmp_path / "readings.csv").write_text("\n".join([head, *few]))
     asked = ["calibrate", str(tmp_path), *known(log), "--young-kpa", "150", "--contact", "hertz"]
     assert cli.main([*asked, "--out", str(tmp_path / "out")]) == 0
-    assert "left out         1 taxels: fewer than three readings" in capsys.readouterr().out
+    assert "left out         1 taxel: fewer than three readings" in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -237,7 +240,7 @@ def test_held_out_contacts(log, tmp_path, capsys):
     m = json.loads((out / "metrics.json").read_text())["cross_validation"]
     assert m["folds"] == 2
     assert m["error_mm"]["rms"] < 0.15 < 0.4 < m["centroid_error_mm"]["rms"]
-    assert f"{m['localized']} of 1200 contacts localised to" in capsys.readouterr().out
+    assert f"{m['localized']} of 1200 contacts localized to" in capsys.readouterr().out
     assert "Held-out contacts" in (out / "report.html").read_text()
     (out / "report.html").unlink()
     assert cli.main(["report", str(out)]) == 0

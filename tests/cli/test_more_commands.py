@@ -116,6 +116,18 @@ def test_init_writes_the_map_of_a_log(tmp_path, monkeypatch, capsys):
     assert ms.LogMap.load("run_map.toml").streams
 
 
+def test_init_says_that_a_log_needs_no_map(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "log").mkdir()
+    for name in ("contacts", "readings"):
+        (tmp_path / "log" / f"{name}.csv").write_text("time\n0\n")
+    assert cli.main(["init", "log"]) == 2
+    said = capsys.readouterr().err
+    assert "needs no map" in said
+    assert "meshskin calibrate log" in said
+    assert not (tmp_path / "log_map.toml").exists()
+
+
 def test_init_says_what_a_log_lacks(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = ["time", "cx", "dy", "ez", *(f"cell{k}" for k in range(5))]

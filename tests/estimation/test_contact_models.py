@@ -44,19 +44,19 @@ def rms(found, world):
 )
 def test_reaches_the_bound_with_consistent_covariance(worlds, name, seeds):
     world = worlds[name]
-    belief, square, normalised, moduli = world.belief(0.01, 0.05), [], [], []
+    belief, square, normalized, moduli = world.belief(0.01, 0.05), [], [], []
     bound = cramer_rao(world.record(0.01, 0.05), belief, world.skin)
     for seed in range(seeds):
         found = calibrate(world.record(0.01, 0.05, seed), belief)
         assert found.fit.good
         square.append(rms(found, world) ** 2)
-        normalised.append(nees(found, world.skin).mean())
+        normalized.append(nees(found, world.skin).mean())
         moduli.append(np.divide(*found.unknowns["modulus"]))
     # each coordinate is chi-square with one degree: the mean square of n scatters by sqrt(1/n)
     n = seeds * len(world.truth)
     assert np.mean(square) < (1 + 3 / np.sqrt(n)) * bound.rms**2
     low, high = nees_band(n, 0.999)
-    assert low < np.mean(normalised) < high
+    assert low < np.mean(normalized) < high
     least, most = chi2.ppf([5e-4, 1 - 5e-4], seeds) / seeds
     assert least < np.mean(np.square(moduli)) < most
     assert found.unknowns["modulus"][1] == pytest.approx(bound.modulus_sigma, rel=0.1)

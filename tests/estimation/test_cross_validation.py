@@ -1,4 +1,4 @@
-"""Contacts held out and localised, on a cap of a sphere whose readings NumPy alone makes."""
+"""Contacts held out and localized, on a cap of a sphere whose readings NumPy alone makes."""
 
 from dataclasses import replace
 
@@ -102,7 +102,7 @@ def rms(x):
 
 
 def predicted(points):
-    """Rms error, m, of contacts that the true skin localises under this noise (k readings)."""
+    """Rms error, m, of contacts that the true skin localizes under this noise (k readings)."""
     error = []
     for point in points:
         r = np.linalg.norm(TRUTH - point, axis=1)

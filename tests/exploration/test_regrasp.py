@@ -105,8 +105,8 @@ def test_the_transfer_between_postures_avoids_the_indenter(islands, indenter):
         lifted.append(arm.inverse_kinematics(above @ inverse(mount), seed)[-1])
     q = transfer.joint_path(loop, islands.body, *lifted)
     np.testing.assert_allclose(q[-1], lifted[1], atol=1e-9)
-    centers = loop.indenter_centers(loop.body_poses(q[::10]))
-    assert islands.body.closest(centers).distance.min() > 0.01
+    centres = loop.indenter_centres(loop.body_poses(q[::10]))
+    assert islands.body.closest(centres).distance.min() > 0.01
     assert (np.abs(np.diff(q, axis=0)) / 1e-3).max() <= transfer.MAX_JOINT_SPEED * 1.6
     high = arm.pose(transfer.lift_path(loop, lifted[0], 0.03)) - arm.pose(lifted[0])
     np.testing.assert_allclose(high[-1, :3, 3], 0.03 * indenter.axis, atol=1e-8)

@@ -1,5 +1,6 @@
 """Bags of ROS 1, ROS 2 and MCAP: values read back, torn files, foreign types, and refusals."""
 
+import re
 import struct
 import sys
 from contextlib import suppress
@@ -114,6 +115,48 @@ def test_a_torn_file_is_read_up_to_the_tear(bags, tmp_path, name, share):
     assert 0.25 * share < found < 1
     assert len(log.notes) == 1
     assert "is torn" in log.notes[0]
+
+
+@pytest.mark.parametrize("share", [0.2, 0.35])
+@pytest.mark.parametrize("suffix", ["bag", "mcap"])
+def test_garbage_in_a_chunk_is_left_out_and_said(tmp_path, suffix, share):
+    streams = RobotLog(contacts=24).streams()
+    path = tmp_path / f"garbage.{suffix}"
+    if suffix == "bag":
+        robot_log.write_ros1(path, streams)  # chunks of 1 MiB
+    else:
+        robot_log.write_mcap(path, streams, chunk_size=2**18, compression=CompressionType.NONE)
+    content = bytearray(path.read_bytes())
+    at = int(share * len(content))
+    content[at : at + 4096] = np.random.default_rng(int(100 * share)).bytes(4096)
+    path.write_bytes(content)
+    log = read_log(path, MAP)
+    (note,) = log.notes
+    assert "damaged: the chunk at byte" in note
+    kept = 0
+    for stream in log.streams:
+        times, values = streams[stream.name]
+        row = np.round(np.interp(stream.times - EPOCH, times, np.arange(len(times)))).astype(int)
+        np.testing.assert_array_equal(stream.values, values[row])
+        kept += len(stream) / len(times) / 3
+        assert stream.times[-1] - EPOCH > times[-1] - 1.0  # what is behind is read, too
+    assert 0.5 < kept < 0.99
+
+
+def test_garbage_in_a_message_is_left_out_and_counted(tmp_path):
+    """Garbage within one message: nothing but its content shows it."""
+    path = tmp_path / "garbage.mcap"
+    robot_log.write_mcap(path, STREAMS, use_chunking=False)
+    content = bytearray(path.read_bytes())
+    names = [found.start() for found in re.finditer(b"shoulder", content)]
+    at = names[200]
+    content[at - 1] = 0xFF  # of the length of the name
+    path.write_bytes(content)
+    log = read_log(path, MAP)
+    assert log.notes == (
+        "1 messages of /joint_states cannot be decoded: they are damaged, and left out",
+    )
+    assert len(log["/joint_states"]) == len(STREAMS["/joint_states"][0]) - 1
 
 
 def test_a_bag_that_was_not_closed_has_no_index(bags, tmp_path):

@@ -63,6 +63,15 @@ def test_all_streams_are_brought_to_the_clock_of_the_robot(streams):
     assert (found.readings - truth).std() < 1.1 * np.hypot(ROBOT.noise, 0.3)
 
 
+def test_presses_beside_the_taxels_do_not_move_the_level_of_the_force():
+    robot = RobotLog(contacts=14, seed=3)
+    robot.sites[::3] = 0.2  # where no taxel is
+    found = log_frames(log_of(robot.streams()), MAP).skin_log
+    assert len(found.contacts) == 9
+    level = found.force - robot.force_at(found.time)
+    assert np.median(level[found.in_contact]) == pytest.approx(0.0, abs=0.02)
+
+
 def test_a_given_delay_is_taken_and_not_estimated(streams):
     log_map = LogMap((*MAP.streams[:2], replace(MAP.streams[2], delay=0.037)))
     frames = log_frames(log_of(streams, log_map), log_map)

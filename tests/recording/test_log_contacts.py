@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from meshskin.core.errors import RecordingError, UnknownNameError
-from meshskin.recording.log_contacts import contact_frames, joint_path, recording_of
+from meshskin.recording.log_contacts import at_clock, contact_frames, joint_path, recording_of
 from meshskin.recording.skin_log import SkinLog
 
 
@@ -51,6 +51,18 @@ def test_forces_of_the_wrong_sign_or_axis_are_named(scale, words):
     assert len(contact_frames(log)) == pressed.sum()
     with pytest.raises(RecordingError, match=words):
         contact_frames(replace(log, force=log.force - 3.0 * (1 - scale) * pressed))
+
+
+def test_forces_are_those_of_the_time_of_the_contact(log):
+    """0.1 s ago; where they rise from nothing within a frame they are not known."""
+    time = 0.1 * np.arange(8)
+    force = np.array([0.0, 0.0, 2.0, 3.0, 3.2, 3.0, 0.0, 0.0])
+    angles, readings = np.zeros((8, 2)), np.ones((8, 2))
+    log = replace(log, time=time, joint_angles=angles, readings=readings,
+                  in_contact=force > 0, force=force)  # fmt: skip
+    assert at_clock(log, 0.0) is log
+    found = at_clock(log, 0.1).force
+    np.testing.assert_allclose(found, [0, 0, 0, np.nan, 3, 3.2, np.nan, 0], atol=1e-12)
 
 
 def test_joints_are_those_asked_for_in_their_order(log):

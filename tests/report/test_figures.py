@@ -148,6 +148,15 @@ def test_coverage_crosses_out_what_was_never_touched(case: SimpleNamespace) -> N
     assert "never touched" not in texts(maps.coverage(ReportData(found)))
 
 
+def test_a_long_contact_path_takes_little_room(case, tmp_path):
+    """The marks of its contacts, of which each would be an element of the SVG, are pixels."""
+    data = ReportData(case.calibration(), recording=case.recording())
+    assert len(data.recording.time) > maps.RASTERIZE_ABOVE
+    text = theme.save(maps.coverage(data), tmp_path, "map")[1].read_text()
+    assert text.count("<use ") < maps.RASTERIZE_ABOVE
+    assert "<image" in text
+
+
 def test_few_readings_apart_have_ticks(case):
     """90 to 170 readings have one of 1, 2, 5 in a decade."""
     found = case.calibration()
@@ -334,4 +343,4 @@ def test_estimates_that_coincide_are_drawn_in_millimetres() -> None:
     factor, short = drawn_scale(np.array([4e-3, 5e-3, 6e-3, 0.5]), 0.3 * pitch(np.zeros((4, 3))))
     assert factor == 1.0
     assert (short[:3] == 1.0).all()
-    assert short[3] * 0.5 == pytest.approx(4 * 5.5e-3)
+    assert short[3] * 0.5 == pytest.approx(2.5 * 5.5e-3)

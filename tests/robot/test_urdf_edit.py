@@ -10,7 +10,7 @@ import trimesh
 import meshskin as ms
 from meshskin.core.errors import ArmError, UnknownNameError
 from meshskin.core.se3 import exp_so3, transform, transform_points
-from meshskin.estimation.kinematics.calibrate_log import LogCalibration
+from meshskin.estimation.kinematics.log_calibration import LogCalibration
 from meshskin.robot.urdf_edit import with_moved_shapes
 
 TEXT = """<?xml version="1.0"?>

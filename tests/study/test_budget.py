@@ -62,6 +62,7 @@ def test_the_entries_of_the_report_add_up(report):
 def test_the_estimate_is_checked_against_the_truth(report):
     assert report.fits
     assert report.check.shift <= report.budget
+    assert repr(report).startswith(f"<BudgetReport: {sum(e.on for e in report.entries)} of ")
     assert 0.5 < report.estimate / report.check.shift < 2.0
     assert report.check.taxels >= 5
 

@@ -1,5 +1,7 @@
 """The table of a study as a notebook shows it."""
 
+import pickle
+
 import pyarrow as pa
 import pytest
 
@@ -31,6 +33,11 @@ def test_the_card_counts_cases_and_names_parameters_and_results(results):
     assert facts["results"] == "rms"
     assert "data:image/png" in results._repr_html_()
     assert results.to_pandas().shape == (4, 9)
+
+
+def test_tables_compare_by_content(results):
+    assert pickle.loads(pickle.dumps(results)) == results
+    assert StudyTable(results.table.slice(1), results.parameters, "mine") != results
 
 
 def test_a_figure_has_a_line_for_each_value_of_the_second_parameter(results):

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group
 from .measurements import Measurements
 
 LATE_FRAMES = 5
@@ -36,7 +36,7 @@ MAX_BELOW = 0.03
 to that by which they exceed it, up to which there can be such a filter: noise leaves 0.01 to 0.05.
 """
 MIN_USED = 0.5
-"""Least part of the readings that have a contact in time at a delay: fewer do not tell of it."""
+"""Least part of the readings that have a contact in time at a delay: fewer do not show it."""
 PAUSE = 3.0
 """Time between contacts, in typical frames times their difference, from which there is a pause."""
 
@@ -97,9 +97,9 @@ def _neighbours(data: Measurements, level: Array) -> tuple[Array, np.ndarray]:
 def _possible_filters(
     taxel: np.ndarray, level: Array, before: Array, last: np.ndarray
 ) -> tuple[float, ...]:
-    """Those of KEPT that levels (k,) of taxels (k,) may have behind a low-pass filter: most taxels'
-    rise faster than they fall, and none falls below the part that is kept. before, last (k,): as
-    `_neighbours`.
+    """Parts of KEPT that a low-pass filter of levels (k,) of taxels (k,) may have: most taxels'
+    levels rise faster than they fall, and none falls below the part that is kept. before, last
+    (k,): as `_neighbours`.
 
     Without this, the changes of levels that are only late pass for a filter's input: they come
     earlier, and from a smaller part of a patch, than the levels.
@@ -124,11 +124,9 @@ def _possible_filters(
 def spreads(points: Array, weight: Array, taxel: np.ndarray) -> Array:
     """Weighted mean square distances (t,), m^2, of the contact points (k, 3) of each taxel from
     their middle; taxel (k,): whose they are."""
-    total = np.bincount(taxel, weight)
-    mean = sums_by_group(weight[:, None] * points, taxel, len(total))
-    mean /= np.maximum(total, 1e-300)[:, None]
-    square = np.bincount(taxel, weight * np.sum((points - mean[taxel]) ** 2, axis=1))
-    return np.asarray(square[total > 0] / total[total > 0])
+    off = points - means_by_group(points, taxel, weight=weight)[taxel]
+    square = means_by_group(np.sum(off**2, axis=1), taxel, weight=weight)
+    return square[np.isfinite(square)]
 
 
 def comparison(moved: Array, present: Array) -> tuple[float, float]:

@@ -123,11 +123,11 @@ class GlobalParameters:
     sigma: Array
     """Prior standard deviations (ks,) of s about zero."""
     nuisance_names: tuple[str, ...] = ()
-    """Those of NUISANCE that every taxel has."""
+    """Names, of NUISANCE, of the parameters that every taxel has."""
     nuisance_sigma: tuple[float, ...] = ()
     """Their prior standard deviations: of ln gain, and of the offset and its drift in Pa."""
     motion: ContactMotion | None = None
-    """That of the belief, if MOTION is among the names."""
+    """The belief's motion of the contacts, if MOTION is among the names."""
 
     @property
     def columns(self) -> dict[str, slice]:

@@ -123,11 +123,11 @@ def check_disc(data: Measurements) -> None:
     weight, n = data.pressure**2, len(data.ids)
     own = np.flatnonzero(data.counts)
     total = np.bincount(data.taxel, weight, n)[own, None]
-    center, normal = (
+    centre, normal = (
         sums_by_group(weight[:, None] * values[data.contact], data.taxel, n)[own] / total
         for values in (data.points, data.normals)
     )
-    pairs = cKDTree(center).sparse_distance_matrix(
+    pairs = cKDTree(centre).sparse_distance_matrix(
         data.contact_tree, data.disc, output_type="ndarray"
     )
     same = np.einsum("ki,ki->k", normal[pairs["i"]], data.normals[pairs["j"]]) > SAME_SHEET

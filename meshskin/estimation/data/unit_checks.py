@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group
 from ...core.errors import CalibrationError, RecordingError
 from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
@@ -214,9 +214,8 @@ def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array, reach: flo
 
 def _spreads(points: Array, group: np.ndarray) -> tuple[Array, np.ndarray]:
     """Rms distance of the points (k, 3) of each group (k,) from their mean, and their number."""
-    count = np.bincount(group)
-    off = points - (sums_by_group(points, group, len(count)) / count[:, None])[group]
-    return np.sqrt(np.bincount(group, np.sum(off**2, axis=1)) / count), count
+    off = points - means_by_group(points, group)[group]
+    return np.sqrt(means_by_group(np.sum(off**2, axis=1), group)), np.bincount(group)
 
 
 def too_many_corrupt(corrupt: np.ndarray) -> bool:

@@ -76,7 +76,7 @@ def with_departures(
             failed = set(excluded)
         else:
             unlikely.add(name)
-        if not converged:  # a response of another kind; further departures would not mend it
+        if not converged:  # a response of another kind; further departures would not correct it
             return effects, {other: left[other] for other in left if other != name}
 
 

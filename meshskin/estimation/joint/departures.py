@@ -194,6 +194,15 @@ class FittedReadings:
             left[:, k] -= np.einsum("ak,ka->k", self.own, found[taxel])
         return left, left
 
+    def displaced(self, columns: Array) -> Array:
+        """Displacements (n, 2, q) of the taxels by errors `columns` (k, q) of the readings."""
+        if self.system is not None:
+            weighted = self.curvature[:, None] * columns
+            parts = self.system.transposed(self.jacobian, weighted)
+            return self.system.solve(*parts)[0][:, :2]
+        solved = [self._solved(self._coupling(column)) for column in columns.T]
+        return np.stack(solved, axis=2)[:, :2] / self._own_information[0][:, :2, None]
+
     def each(self, column: Array) -> tuple[Array, Array]:
         """Derivative (n,) of the log-likelihood of each taxel in a parameter with the derivatives
         `column` (k,), and its information where the taxel's own unknowns are estimated."""

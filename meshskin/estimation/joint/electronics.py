@@ -164,7 +164,8 @@ class Electronics:
 
     @cached_property
     def all_neighbours(self) -> sparse.csr_array:
-        """The same of all neighbours."""
+        """The matrix (k, k) that sums, for each reading, those of all the taxel's neighbours in its
+        contact."""
         from scipy.spatial import cKDTree
 
         readings, k = self.readings, len(self.readings.taxel)

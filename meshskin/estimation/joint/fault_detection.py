@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.arrays import MAD, Array, robust_sigma, sums_by_group
+from ...core.arrays import MAD, Array, means_by_group, robust_sigma, sums_by_group
 from ..data.measurements import Measurements
 from .likelihood import Readings
 from .pressure import CENSORED, OBSERVED, SATURATED
@@ -113,15 +113,14 @@ def unanswered_presses(readings: Readings) -> np.ndarray:
 
 def stuck_taxels(data: Measurements) -> StuckTaxels:
     """Taxels with a constant reading in contacts further apart than one taxel can sense."""
-    count = np.maximum(data.counts, 1)
-    mean = np.bincount(data.taxel, data.pressure, len(data.ids)) / count
+    n, points = len(data.ids), data.points[data.contact]
+    mean = means_by_group(data.pressure, data.taxel, n)
     off = data.pressure - mean[data.taxel]
-    deviation = np.sqrt(np.bincount(data.taxel, off**2, len(data.ids)) / count)
-    points = data.points[data.contact]
-    centre = sums_by_group(points, data.taxel, len(count)) / count[:, None]
+    deviation = np.sqrt(means_by_group(off**2, data.taxel, n))
+    centre = means_by_group(points, data.taxel, n)
     gap = np.sum((points - centre[data.taxel]) ** 2, axis=1)
     limit = (STUCK_SPREAD * data.reach()[data.contact]) ** 2
-    far = np.bincount(data.taxel, gap - limit, len(count)) > 0
+    far = np.bincount(data.taxel, gap - limit, n) > 0
     rows = np.flatnonzero(far & (deviation < 3 * data.sigma) & (mean > 3 * deviation))
     return StuckTaxels(rows, mean[rows])
 

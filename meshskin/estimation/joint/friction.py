@@ -57,7 +57,7 @@ def shears(data: Measurements, limit: float) -> tuple[Array, Array]:
 def _path() -> BufferedFunction:
     """Shears and their derivatives in the limit (3, 2) along a path of BLOCK contacts.
 
-    (start (3, 2); by columns, the step (3), the step that ends amid the neighbors (3), the normal
+    (start (3, 2); by columns, the step (3), the step that ends amid the neighbours (3), the normal
     (3), whether the contact is held from the one before; limits) -> after each step, and amid.
     """
     state, limit, column = ca.SX.sym("state", 3, 2), ca.SX.sym("limit"), ca.SX.sym("column", 10)

@@ -1,4 +1,4 @@
-"""Hysteresis and creep of contacts that are localised, whose taxels' past is known.
+"""Hysteresis and creep of contacts that are localized, whose taxels' past is known.
 
 The play operator and the creep of each taxel (electronics.py) are followed through the whole
 recording at the recorded contacts. A contact whose place is sought then depends on their state

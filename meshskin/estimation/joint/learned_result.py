@@ -15,8 +15,8 @@ from ..chart import tangential_square
 from ..data.global_parameters import DEPARTURES, MOTION
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
+    ALIKE_CONTACTS,
     CENSORING,
-    MISFITTING,
     MOSTLY_OUTLIERS,
     SHARED_ERRORS,
     SURFACE,
@@ -27,6 +27,7 @@ from ..result import (
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
 from .contact_correlations import AlikeErrors, alike_errors, fewer_contacts, neighbour_correlation
+from .contact_fields import contact_fields
 from .creep import TIME
 from .electronics import WIDTH
 from .joint_estimator import JointEstimator
@@ -35,7 +36,7 @@ from .noise import neighbours
 from .null_space import undetermined_motion
 from .pressure import CENSORED, OBSERVED, disc_means
 from .random_effects import RandomEffects
-from .residual_correlations import shared_errors
+from .residual_correlations import larger, shared_errors
 from .rival_optima import RivalOptima
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
@@ -80,8 +81,10 @@ def learned_result(
     fitted = effects.fitted()
     errors, own = shared_errors(fitted), misfit * covariance[:, :2, :2]
     added = errors.covariances(fitted)
-    departures = errors.beyond(added, own)
-    tangential = _larger(scale * covariance[:, :2, :2], own + added)
+    fields = contact_fields(fitted)
+    departures = {**errors.beyond(added, own), **fields.departure}
+    tangential = larger(scale * covariance[:, :2, :2], own + added)
+    tangential = larger(tangential, own + fields.covariances)
     tangential *= _few_readings(effects)[:, None, None]
     tangential += _leaks(effects) + tangential_square(rotations[:, :, :2], apart)
     lost, reasons = estimator.broken, reasons.copy()
@@ -108,7 +111,8 @@ def learned_result(
             *((CENSORING,) if (effects.selected[0].kind == CENSORED).any() else ()),
             SURFACE,
             *((SHARED_ERRORS.format(errors.where),) if added.any() else ()),
-            *((MISFITTING.format(len(data.misfitting)),) if len(data.misfitting) else ()),
+            *((ALIKE_CONTACTS,) if fields.covariances.any() else ()),
+            *data.excluded,
         ),
         unknowns=_shared_values(effects, scale * shared),
         undetermined=_not_separable(effects, shared),
@@ -135,7 +139,7 @@ def learned_result(
 
 
 def _few_readings(effects: RandomEffects) -> Array:
-    """Factors (n,) of the taxels' variances where few readings tell of their four unknowns: the
+    """Factors (n,) of the taxels' variances where few readings determine their four unknowns: the
     variances of gains, offsets and contacts are taken as known, and so is the linearization."""
     readings = effects.readings
     count = np.bincount(readings.taxel, readings.kind == OBSERVED, len(effects.unknowns.nuisance))
@@ -147,13 +151,6 @@ def _errors(effects: RandomEffects) -> Array:
     errors = effects.unknowns.errors.copy()
     errors[effects.data.misfitting] = np.nan
     return errors
-
-
-def _larger(first: Array, second: Array) -> Array:
-    """Of two covariances (n, 2, 2) of each taxel the larger one: displacements of the contacts show
-    in the residuals, too, and are not counted twice."""
-    traces = (np.trace(x, axis1=1, axis2=2) for x in (first, second))
-    return np.asarray(np.where(np.greater(*traces)[:, None, None], first, second))
 
 
 def _additions(effects: RandomEffects, live: np.ndarray) -> Array | None:

@@ -101,7 +101,7 @@ def _widths(
 def rows_seen_from_one_place(
     estimator: JointEstimator, rows: np.ndarray, points: Array
 ) -> np.ndarray:
-    """Those of the taxels `rows` at `points` (r, 3) whose contacts lie closer together than a part
+    """Taxels, of the `rows` at `points` (r, 3), whose contacts lie closer together than a part
     SAME_PLACE of their distance: these tell little but the distance, and the likelihood is an arc.
     """
     centre, spread = _contact_centres(estimator, rows, points)

@@ -24,8 +24,8 @@ from .. import chart
 from ..data.global_parameters import RADIUS_TOLERANCE, radius_deviation
 from ..data.measurements import Measurements
 from ..result import (
+    ALIKE_CONTACTS,
     CENSORING,
-    MISFITTING,
     MOSTLY_OUTLIERS,
     SHARED_ERRORS,
     SURFACE,
@@ -35,6 +35,7 @@ from ..result import (
 )
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
+from .contact_fields import contact_fields
 from .departures import departure_scores, fitted_readings
 from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
@@ -52,7 +53,7 @@ from .outlier_rejection import reject_outliers, without_misfitting_contacts
 from .parametrization import Parametrization, SurfaceParametrization
 from .pressure import OBSERVED
 from .reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
-from .residual_correlations import shared_errors
+from .residual_correlations import larger, shared_errors
 from .rival_optima import RivalOptima, resolve_rivals
 from .variable_projection import SchurComplement
 
@@ -185,10 +186,11 @@ def _result(
     data, problem, state = estimator.data, estimator.problem, estimator.state
     problem.contacts.check(state.s)
     parameters, parametrization = data.parameters, problem.parametrization
-    fitted, jump, errors = None, Jump(), None
+    fitted, jump, errors, fields = None, Jump(), None, None
     if isinstance(parametrization, SurfaceParametrization):
         fitted = fitted_readings(estimator, estimator.likelihood.readings.weight)
         jump, errors = jump_of(estimator, fitted), shared_errors(fitted)
+        fields = contact_fields(fitted)
 
     def spread(values: Array, missing: object) -> Array:
         return spread_rows(values, estimator.live, len(data.ids), missing)
@@ -219,9 +221,11 @@ def _result(
         tangential += chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
         if fit.good is False:
             tangential += _model_dependence(estimator, fit)
-        elif fitted and errors and (added := errors.covariances(fitted)).any():
-            tangential += added
-            factors.append(SHARED_ERRORS.format(errors.where))
+        elif fitted and errors and fields:
+            added = errors.covariances(fitted)
+            tangential += larger(added, fields.covariances)
+            factors += [SHARED_ERRORS.format(errors.where)] if added.any() else []
+            factors += [ALIKE_CONTACTS] if fields.covariances.any() else []
     if parameters.nuisance_names != declared.parameters.nuisance_names:
         factors.append(UNDECLARED_GAINS)
     factors += parameters.describe_priors()
@@ -262,6 +266,7 @@ def _result(
         fit=fit,
         departures=departure_scores(estimator, fitted)
         | (errors.departure if errors else {})
+        | (fields.departure if fields else {})
         | jump.departure,
         jump=jump.shown,
         iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
@@ -279,13 +284,7 @@ def _factors(data: Measurements, fit: GoodnessOfFit) -> list[str]:
         factors.append(ESTIMATED_NOISE.format(data.noise, data.noise_pairs))
     if fit.good is False:
         factors.append(WIDENED.format(fit.reduced**0.5))
-    if data.left_out:
-        factors.append(f"without {data.left_out} contacts in which the contact model does not hold")
-    if data.strays:
-        factors.append(f"without {data.strays} contacts that are not on the believed surface")
-    if len(data.misfitting):
-        factors.append(MISFITTING.format(len(data.misfitting)))
-    return factors
+    return [*factors, *data.excluded]
 
 
 def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:

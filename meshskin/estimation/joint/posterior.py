@@ -49,7 +49,7 @@ class Probes:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Of the effects under given variances; W as above."""
+    """What the readings determine of the effects under given variances; W as in the module."""
 
     determined: dict[str, float]
     """Trace of W over the effects of each deviation, by its name."""

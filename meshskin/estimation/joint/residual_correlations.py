@@ -28,9 +28,9 @@ SPANS = (10.0, 100.0, 1000.0)
 """Lengths in time that are tried, in contacts."""
 WIDTHS = (0.25, 0.5, 1.0)
 """Lengths in place that are tried, in reaches of a contact."""
-MAX_TAXELS, MAX_READINGS = 100, 60
-"""Taxels, and readings of each, evenly chosen, that are compared: errors of the size of the noise
-have scores of 20 and more with so many."""
+MAX_TAXELS, SCORED, FITTED = 100, 400, 60
+"""Taxels, and readings of each, evenly chosen, whose scores count, and of whose errors variances
+are estimated: errors of the size of the noise have scores of 20 and more with so many."""
 LEAST_SCORE = 4.0
 """Score, in standard deviations, from which covariances are widened: 2e-4 by chance, of six."""
 HELD_SCORE, MAX_WIDENING = 10.0, 1.3
@@ -41,7 +41,9 @@ SPARE = 3
 """Readings of a taxel, at least, beyond its own unknowns: fewer have hardly residuals."""
 START, MAX_RATIO = 0.3, 100.0
 """First and largest variance of shared errors, relative to that of independent ones."""
-
+Sample = tuple[np.ndarray, Array, Array, Array]
+"""Of a taxel: its contacts (q,), their places (q, 2), orthonormal vectors (q, D) of what its own
+unknowns explain, and the residuals (q,)."""
 Kernel = Callable[[Array, Array], tuple[Array, ...]]
 """(rows of the contacts (q,), their places (q, 2) relative to the taxel, reaches) -> covariances
 (q, q) of shared errors, each with a variance of its own."""
@@ -55,9 +57,9 @@ class SharedErrors:
     """In standard deviations of independent errors."""
     where: str
     """"in time" or "in place"."""
-    kernel: Kernel
-    variances: Array
-    """Of each of the kernel's covariances, relative to that of the noise."""
+    kernels: tuple[tuple[Kernel, Array], ...] = ()
+    """Kernels, and the variances of their covariances relative to that of the noise, weighted by
+    the likelihoods of the kernels: few readings hardly tell the length."""
 
     @property
     def departure(self) -> dict[str, float]:
@@ -79,42 +81,59 @@ class SharedErrors:
             return found
         for taxel, rows, own in _taxels(fitted, np.arange(len(found))):
             gain = np.linalg.pinv(own.T @ own + np.diag(fitted.prior))[:2] @ own.T
-            shared = self.kernel(fitted.readings.contact[rows], _places(fitted, taxel, rows))
-            total = np.tensordot(self.variances, shared, 1)
+            at = fitted.readings.contact[rows], _places(fitted, taxel, rows)
+            total = sum(np.tensordot(v, kernel(*at), 1) for kernel, v in self.kernels)
             found[taxel] = gain @ total @ gain.T
         return found
 
 
 def shared_errors(fitted: FittedReadings) -> SharedErrors:
     """The most likely shared errors of the residuals; of score 0 where nothing is compared."""
-    rng, n = np.random.default_rng(0), len(fitted.points)
-    chosen = np.sort(rng.permutation(n)[:MAX_TAXELS])
-    residuals = -fitted.rate / np.sqrt(np.maximum(fitted.curvature, 1e-300))
-    samples = []
-    for taxel, rows, own in _taxels(fitted, chosen):
-        if len(rows) < own.shape[1] + SPARE:
-            continue
-        used = np.unique(np.linspace(0, len(rows) - 1, MAX_READINGS).astype(int))
-        free = np.linalg.qr(own[used], mode="complete")[0][:, own.shape[1] :]
-        places = _places(fitted, taxel, rows[used])
-        samples.append((fitted.readings.contact[rows[used]], places, free, residuals[rows[used]]))
     kernels = [("in time", _in_time(span)) for span in SPANS]
     kernels += [("in place", _in_place(width)) for width in WIDTHS]
-    found = SharedErrors(0.0, *kernels[0], np.zeros(1))
-    square = sum(float(np.sum((free.T @ r) ** 2)) for _, _, free, r in samples)
-    if not square:
-        return found
-    noise = (square / sum(free.shape[1] for _, _, free, _ in samples)) ** 0.5
-    samples = [(contact, place, free, r / noise) for contact, place, free, r in samples]
+    samples, _ = _samples(fitted, SCORED)
+    if not samples:
+        return SharedErrors(0.0, kernels[0][0])
     score = max(_score(samples, kernel) for _, kernel in kernels)
     if score <= LEAST_SCORE:
-        return SharedErrors(score, *kernels[0], np.zeros(1))
-    best = np.inf
-    for where, kernel in kernels:
-        cost, variances = _most_likely(samples, kernel)
-        if cost < best:
-            best, found = cost, SharedErrors(score, where, kernel, noise**2 * variances)
-    return found
+        return SharedErrors(score, kernels[0][0])
+    samples, noise = _samples(fitted, FITTED)
+    found = [_most_likely(samples, kernel) for _, kernel in kernels]
+    cost = np.array([part[0] for part in found])
+    odds = np.exp(cost.min() - cost) / np.sum(np.exp(cost.min() - cost))
+    weighted = [
+        (kernel, odd * noise**2 * part[1])
+        for (_, kernel), odd, part in zip(kernels, odds, found, strict=True)
+    ]
+    return SharedErrors(score, kernels[int(np.argmin(cost))][0], tuple(weighted))
+
+
+def larger(first: Array, second: Array) -> Array:
+    """Of two covariances (n, 2, 2) of each taxel the larger one: displacements of the contacts show
+    in the residuals, too, and are not counted twice."""
+    traces = (np.trace(x, axis1=1, axis2=2) for x in (first, second))
+    return np.asarray(np.where(np.greater(*traces)[:, None, None], first, second))
+
+
+def _samples(fitted: FittedReadings, most: int) -> tuple[list[Sample], float]:
+    """MAX_TAXELS taxels and at most `most` readings of each, residuals in units of their standard
+    deviation, and this; none where there are no residuals."""
+    chosen = np.sort(np.random.default_rng(0).permutation(len(fitted.points))[:MAX_TAXELS])
+    residuals = -fitted.rate / np.sqrt(np.maximum(fitted.curvature, 1e-300))
+    found = list[Sample]()
+    for taxel, rows, own in _taxels(fitted, chosen):
+        used = np.unique(np.linspace(0, len(rows) - 1, most).astype(int))
+        if len(used) < own.shape[1] + SPARE:
+            continue
+        explained = np.linalg.qr(own[used])[0]
+        left = residuals[rows[used]] - explained @ (explained.T @ residuals[rows[used]])
+        contact, places = fitted.readings.contact[rows[used]], _places(fitted, taxel, rows[used])
+        found.append((contact, places, explained, left))
+    square = sum(float(np.sum(left**2)) for *_, left in found)
+    if not square:
+        return [], 0.0
+    noise = (square / sum(len(left) - basis.shape[1] for *_, basis, left in found)) ** 0.5
+    return [(contact, place, basis, left / noise) for contact, place, basis, left in found], noise
 
 
 def _taxels(fitted: FittedReadings, taxels: np.ndarray) -> Iterator[tuple[int, np.ndarray, Array]]:
@@ -159,34 +178,35 @@ def _in_place(width: float) -> Kernel:
     return kernel
 
 
-def _score(samples: list[tuple[Array, Array, Array, Array]], kernel: Kernel) -> float:
-    """Score of the kernel's correlations at a variance of zero; its own variances, which noise has,
-    too, do not count."""
-    slope = information = 0.0
-    for contact, place, free, residual in samples:
-        covariance = np.sum(kernel(contact, place), axis=0)
-        np.fill_diagonal(covariance, 0.0)
-        shared, residual = free.T @ covariance @ free, free.T @ residual
-        slope += residual @ shared @ residual - np.trace(shared)
-        information += 2 * np.sum(shared**2)
-    return float(slope / max(information, 1e-300) ** 0.5)
+def _score(samples: list[Sample], kernel: Kernel) -> float:
+    """Score of the kernel's correlations at a variance of zero, of all of them or of the last ones,
+    which are odd in the place; its own variances, which noise has, too, do not count."""
+    slope, information = np.zeros(2), np.zeros(2)
+    for contact, place, basis, left in samples:
+        parts = kernel(contact, place)
+        for k, covariance in enumerate((np.sum(parts, axis=0), parts[-1])):
+            np.fill_diagonal(covariance, 0.0)
+            covariance = covariance - basis @ (basis.T @ covariance)
+            covariance -= (covariance @ basis) @ basis.T
+            slope[k] += left @ covariance @ left - np.trace(covariance)
+            information[k] += 2 * np.sum(covariance**2)
+    return float(np.max(slope / np.maximum(information, 1e-300) ** 0.5))
 
 
-def _most_likely(
-    samples: list[tuple[Array, Array, Array, Array]], kernel: Kernel
-) -> tuple[float, Array]:
+def _most_likely(samples: list[Sample], kernel: Kernel) -> tuple[float, Array]:
     """Negative logarithm of the largest restricted likelihood, and the variances there."""
     from scipy.optimize import minimize
 
-    size = max(free.shape[1] for _, _, free, _ in samples)
+    size = max(len(left) - basis.shape[1] for *_, basis, left in samples)
     parts = len(kernel(*samples[0][:2]))
     shared, residuals = np.zeros((parts, len(samples), size, size)), np.zeros((len(samples), size))
-    for k, (contact, place, free, residual) in enumerate(samples):
-        q = free.shape[1]
-        residuals[k, :q] = free.T @ residual
+    count = 0
+    for k, (contact, place, basis, left) in enumerate(samples):
+        free = np.linalg.qr(basis, mode="complete")[0][:, basis.shape[1] :]
+        count += (q := free.shape[1])
+        residuals[k, :q] = free.T @ left
         for part, matrix in enumerate(kernel(contact, place)):
             shared[part, k, :q, :q] = free.T @ matrix @ free
-    count = sum(free.shape[1] for _, _, free, _ in samples)
 
     def cost(log_ratio: Array) -> tuple[float, float]:
         ratio = np.exp(np.minimum(log_ratio, np.log(MAX_RATIO)))

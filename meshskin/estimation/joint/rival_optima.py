@@ -26,7 +26,7 @@ from .variable_projection import MAX_STEPS, ReducedProblem
 T = TypeVar("T")
 
 OPEN_SECTOR = np.radians(150.0)
-"""Angle between the directions from a taxel to neighboring contacts up to which its optimum is
+"""Angle between the directions from a taxel to neighbouring contacts up to which its optimum is
 unique: it lies among its contacts. All rivals found on robot links had more than 190 degrees."""
 DIRECTIONS = 8
 """Starting points on the ring about the contacts."""
@@ -139,8 +139,8 @@ def batches(rows: np.ndarray, copies: int) -> list[np.ndarray]:
 
 
 def open_sectors(estimator: JointEstimator, points: Array) -> Array:
-    """Largest angle (n,), rad, between the directions from taxels at `points` (n, 3) to neighboring
-    contacts that they respond to, in the tangent plane."""
+    """Largest angle (n,), rad, between the directions from taxels at `points` (n, 3) to contacts
+    that they respond to and that are neighbours in direction, in the tangent plane."""
     taxel, contact, _ = responses(estimator)
     frames = estimator.problem.parametrization.rotations()[taxel]
     offset = estimator.problem.contacts.data.points[contact] - points[taxel]
@@ -192,19 +192,19 @@ def starting_points(
     contacts = estimator.problem.contacts.data.points
     frames = estimator.problem.parametrization.rotations()[rows]
     taxel, contact, level = responses(estimator)
-    center, axis = points.copy(), np.zeros_like(points)
+    centre, axis = points.copy(), np.zeros_like(points)
     for k, row in enumerate(rows):
         mine = slice(*np.searchsorted(taxel, [row, row + 1]))
         if mine.start < mine.stop:
-            center[k] = level[mine] @ contacts[contact[mine]] / level[mine].sum()
-            flat = (contacts[contact[mine]] - center[k]) @ frames[k, :, :2]
+            centre[k] = level[mine] @ contacts[contact[mine]] / level[mine].sum()
+            flat = (contacts[contact[mine]] - centre[k]) @ frames[k, :, :2]
             axis[k] = frames[k, :, :2] @ np.linalg.svd(flat, full_matrices=False)[2][0]
-    offset = points - center
+    offset = points - centre
     kept = np.einsum("ki,ki->k", offset, axis)[:, None] * axis
     kept += np.einsum("ki,ki->k", offset, frames[:, :, 2])[:, None] * frames[:, :, 2]
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     ring = [np.cos(t) * frames[:, :, 0] + np.sin(t) * frames[:, :, 1] for t in angles]
-    return [center + 2 * kept - offset, *(center + RING * reach * way for way in ring)]
+    return [centre + 2 * kept - offset, *(centre + RING * reach * way for way in ring)]
 
 
 def problem_of(

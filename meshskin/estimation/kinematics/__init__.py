@@ -1,1 +1,1 @@
-"""Contacts from joint angles: what the heights of contacts and the readings tell of the robot."""
+"""Contacts from joint angles: what the heights of contacts and the readings show of the robot."""

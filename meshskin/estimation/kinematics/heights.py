@@ -1,4 +1,4 @@
-"""What the heights of the indenter over the body tell of the robot's unknowns.
+"""What the heights of the indenter over the body show of the robot's unknowns.
 
     h(c(s)) = R - exp(k) depth,    c(s): the indenter's centre by forward kinematics
 
@@ -192,9 +192,9 @@ class Heights:
         hessian = jacobian.T @ weighted + np.diag(self.precision)
         gradient = weighted.T @ r + self.precision * x
         if len(weak := self._weak(jacobian)):
-            told = np.linalg.solve(hessian[np.ix_(weak, weak)], hessian[weak])
-            gradient = gradient - told.T @ gradient[weak]
-            hessian = hessian - told.T @ hessian[weak]
+            share = np.linalg.solve(hessian[np.ix_(weak, weak)], hessian[weak])
+            gradient = gradient - share.T @ gradient[weak]
+            hessian = hessian - share.T @ hessian[weak]
             gradient[weak] = self.precision[weak] * x[weak]
             hessian[weak, weak] = self.precision[weak]
         mean = np.asarray(x - np.linalg.solve(hessian, gradient), dtype=float)
@@ -206,8 +206,8 @@ def timed_by_the_fastest(
     model: ContactKinematics, path: JointPath, time: Array, body: Body
 ) -> ContactKinematics:
     """The kinematics with delays of all joints but the one that moves the heights at times (m,), s,
-    fastest: the others' delays, and the clock's, are against its stamps, which tell most. As they
-    are where the joints that are delayed are given."""
+    fastest: delays of the others and of the clock are relative to its stamps, which determine most.
+    Unchanged where the joints that are delayed are given."""
     names = model.chain.joint_names
     if model.delayed is not None or DELAYS not in model.columns or len(names) < 2:
         return model

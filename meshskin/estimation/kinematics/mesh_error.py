@@ -34,8 +34,8 @@ class MeshError:
 
     @classmethod
     def of(cls, body: Body, hit: Closest, stated: float = 0.0) -> MeshError:
-        """That of `body` about the points `hit`, and the standard deviation, m, that is stated of
-        it; the former is zero for a primitive."""
+        """The error of `body` about the points `hit`, and the standard deviation, m, that is
+        `stated` of it; the former is zero for a primitive."""
         if body.exact is not None:
             return cls(stated)
         corner = body.mesh.triangles[hit.face, 0]

@@ -128,12 +128,12 @@ def layout(
     tiled: triangular modules lie edge to edge in the plane.
     body: the taxels lie on its surface; it needs a scale, and excludes modules. centre (3,): where
     on it the middle of the skin is, m; by default the place whose curvature agrees best, which on
-    most bodies is but one of many.
+    most bodies is one of many.
     seed: of the draws for the standard deviations. progress(stage, done, total): called between the
     steps of the stage "layout".
 
     Raises CalibrationError for frames, ids or knowledge that cannot be used, ConfigError for a body
-    or a seed that is none.
+    or a seed of another type.
     """
     levels = distinct_levels(frames)
     n = levels.shape[1]

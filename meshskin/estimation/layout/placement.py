@@ -43,8 +43,8 @@ ALIKE = 1.1
 """Misfit over that of the best placement up to which another starts as well: the best start is
 often not the best end."""
 EQUAL = 1.02
-"""The same of settled placements, which the distances do not tell apart: on the shipped scenes
-their misfit differs by less than 1 % where their shapes differ by half a pitch."""
+"""Misfit over that of the best settled placement up to which the distances do not tell them apart:
+on the shipped scenes it differs by less than 1 % where the shapes differ by half a pitch."""
 
 
 class Placement(Protocol):
@@ -83,7 +83,7 @@ class OnBody:
 
     @property
     def bulge(self) -> Array:
-        """That of the arc whose normals at the ends are those of the body: exact on a sphere."""
+        """By the arc whose normals at the ends are those of the body: exact on a sphere."""
         normals = self.rotations[:, :, 2]
         half = 0.5 * np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))
         return np.asarray(1.0 / np.sinc(half / np.pi))

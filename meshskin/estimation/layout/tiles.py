@@ -74,7 +74,7 @@ class Meeting:
         return float(NORMALS[self.edge] + np.pi - NORMALS[self.other])
 
     def reversed(self) -> Meeting:
-        """The same, seen from the other module."""
+        """The meeting as seen from the other module."""
         return Meeting(self.misfit, self.second, self.first, self.other, self.edge)
 
 

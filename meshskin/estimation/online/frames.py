@@ -105,8 +105,8 @@ def sparse(readings: Array, threshold: float) -> tuple[np.ndarray, np.ndarray, A
     silent: those above `threshold`, Pa, and, as NaN, those that are lost or negative.
     """
     with np.errstate(invalid="ignore"):
-        lost, heard = ~(readings >= 0), readings > threshold
-    frame, taxel = np.nonzero(lost | heard)
+        lost, read = ~(readings >= 0), readings > threshold
+    frame, taxel = np.nonzero(lost | read)
     return frame, taxel, np.where(lost, np.nan, readings)[frame, taxel]
 
 

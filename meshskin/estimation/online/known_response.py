@@ -53,7 +53,7 @@ class KnownResponse:
 
     @classmethod
     def of(cls, found: Calibration, recording: Recording) -> KnownResponse:
-        """That of the calibration `found` of a recording.
+        """The response of the calibration `found` of a recording.
 
         Its readings are without what hysteresis, creep, crosstalk and drifts add to them by that
         calibration. Raises CalibrationError for a calibration without learned response.

@@ -99,7 +99,7 @@ class OnlineCalibration:
         reachable = ~np.isin(self.ids, list(unreachable))
         self.frames = 0
         self.status: OnlineStatus | None = None
-        """What the last update told; None before the first."""
+        """Status after the last update; None before the first."""
         self._rejected = 0
         self.estimate: RunningEstimate | None = None
         """The running estimate; None before the first contact."""

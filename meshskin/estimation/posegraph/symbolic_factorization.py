@@ -132,11 +132,11 @@ def _column_structure(pattern: sparse.csr_array, order: Int64Array) -> list[Int6
     """Sorted positions of the nonzeros below the diagonal in each column of the factor."""
     permuted = pattern[order][:, order].tocsr()
     permuted.sort_indices()
-    neighbors, ends = permuted.indices.astype(np.int64), permuted.indptr.tolist()
+    neighbours, ends = permuted.indices.astype(np.int64), permuted.indptr.tolist()
     below: list[Int64Array] = []
     children: list[list[int]] = [[] for _ in order]
     for k in range(len(order)):
-        row = neighbors[ends[k] : ends[k + 1]]
+        row = neighbours[ends[k] : ends[k + 1]]
         rest = row[np.searchsorted(row, k) :]
         if children[k]:
             merged = np.concatenate([rest, *(below[child][1:] for child in children[k])])

@@ -63,7 +63,7 @@ MB; a unit with more readings than that, about 100, shows its changes without.""
 ANSWERED = 2.0
 """A taxel was touched if a reading of so many thresholds, or of 5 % of the peak, was expected."""
 LEAST_READING = 0.05
-"""That 5 %: less is a touch at the very edge of the taxel's reach."""
+"""Least expected reading of a touched taxel, relative to the peak: less is at its reach's edge."""
 
 
 @dataclass(frozen=True)

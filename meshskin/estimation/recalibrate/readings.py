@@ -1,7 +1,7 @@
 """The touches of a recording in the unit of an earlier map, under the response that it has.
 
 Raw readings are brought to the unit and the polarity of the map's calibration, whose response
-predicts them: of a few contacts alone, neither could be told.
+predicts them: a few contacts alone would determine neither.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def read(
             )
         if FALLING in previous.factors:
             recording = _turned(recording)
-    told = replace(_as_mapped(belief, previous), taxel_ids=known.ids)
-    data = gather(recording, told) if response is None else gather_or_learn(recording, told)[0]
+    mapped = replace(_as_mapped(belief, previous), taxel_ids=known.ids)
+    data = gather(recording, mapped) if response is None else gather_or_learn(recording, mapped)[0]
     if len(data.pressure) < MIN_READINGS:
         raise CalibrationError(
             "too few readings to tell a change from noise", value=len(data.pressure),

@@ -56,7 +56,7 @@ class Finding:
     state: str
     """What became of it, one of `hypotheses.STATES`."""
     words: str
-    """The same with its values."""
+    """The state with its values, in words."""
     evidence: float
     """log10 of the mean likelihood ratio of the changes to no change."""
     false_alarm: float
@@ -181,18 +181,13 @@ def _listed(unit: str, numbers: np.ndarray, shown: int | None) -> str:
     return f"{len(numbers)} {unit}{plural} ({names}{more})"
 
 
-def updated(
-    previous: Calibration | Skin,
-    belief: Belief,
-    known: SkinMap,
-    found: list[Evidence],
-    findings: tuple[Finding, ...],
-    contacts: int,
-) -> Calibration:
-    """The calibration with the taxels of changed units at their new places, and faults named."""
-    poses, covariance = known.poses.copy(), known.covariance.copy()
-    gain, n = known.log_gain.copy(), len(known.ids)
-    faults, touched = np.full(n, "", dtype=object), np.zeros(n, dtype=bool)
+def _changed(
+    known: SkinMap, found: list[Evidence]
+) -> tuple[Array, Array, Array, np.ndarray, np.ndarray]:
+    """Poses (n, 4, 4), covariances (n, 3, 3), m^2, of the positions, ln gains (n,) and faults (n,)
+    of the taxels with what became of their units, and which (n,) were touched."""
+    poses, covariance, gain = known.poses.copy(), known.covariance.copy(), known.log_gain.copy()
+    faults, touched = np.full(len(gain), "", dtype=object), np.zeros(len(gain), dtype=bool)
     for rows, evidence in zip(known.units, found, strict=True):
         touched[rows] = evidence.touched
         for change in evidence.changes:
@@ -212,6 +207,20 @@ def updated(
             if h.state in (DEAD, GAIN):
                 words = h.state if h.state == DEAD else f"gain times {np.exp(change.log_gain):.2f}"
                 faults[mine] = [join_words(f, words) for f in faults[mine]]
+    return poses, covariance, gain, faults, touched
+
+
+def updated(
+    previous: Calibration | Skin,
+    belief: Belief,
+    known: SkinMap,
+    found: list[Evidence],
+    findings: tuple[Finding, ...],
+    contacts: int,
+) -> Calibration:
+    """The calibration with the taxels of changed units at their new places, and faults named."""
+    poses, covariance, gain, faults, touched = _changed(known, found)
+    n = len(known.ids)
     lost = ~known.known & ~np.isfinite(poses[:, 0, 3])
     local = np.swapaxes(poses[:, :3, :3], 1, 2) @ covariance @ poses[:, :3, :3]
     base = previous if isinstance(previous, Calibration) else None

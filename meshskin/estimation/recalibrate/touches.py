@@ -85,7 +85,7 @@ class Block:
     log_gain_sigma: Array
     """Standard deviation (q,) of the taxel's ln gain."""
     offset_sigma: Array
-    """That (q,) of its offset."""
+    """Standard deviation (q,) of the taxel's offset."""
 
     @property
     def read(self) -> np.ndarray:

@@ -79,12 +79,43 @@ def self_touch(
     free = prior > 0
     if not free.any():
         raise CalibrationError("nothing is unknown in a self-touch", remedy="give a sigma above 0")
-    split = len(first.prior_sigmas)
+    split, stage = len(first.prior_sigmas), Stage(progress, "self-touch", USUAL_STEPS)
+    states, value, covariance, scatter = _fitted(first, second, prior, stage)
+    stage.end()
+    sigma = np.zeros(len(prior))
+    sigma[free] = np.sqrt(np.diag(covariance))
+    labels = first.labels, second.labels
+    named = [
+        f"{which}: {name}"
+        for which, names in zip(("first", "second"), labels, strict=True)
+        for name in names
+    ]
+    return SelfTouch(
+        states=states,
+        positions=(positions(first, states[0]), positions(second, states[1])),
+        sigmas=(sigma[:split], sigma[split:]),
+        labels=labels,
+        scatter=scatter,
+        undetermined=_undetermined(covariance, prior, free, named),
+        contradicted=tuple(
+            f"{name}: {abs(v) / p:.1f} sigmas of its prior"
+            for name, v, p in zip(named, value, prior, strict=True)
+            if ": taxel" not in name and p > 0 and abs(v) > CONTRADICTED * p
+        ),
+        factors=_factors(first, second),
+    )
+
+
+def _fitted(
+    first: TouchSide, second: TouchSide, prior: Array, stage: Stage
+) -> tuple[tuple[SideState, SideState], Array, Array, float]:
+    """The states at which the touches meet best, the unknowns (q,) there with deviations `prior`
+    (q,) before, the covariance of those with one above zero, and the scatter, m."""
+    split, free = len(first.prior_sigmas), prior > 0
     states = SideState.nominal(first), SideState.nominal(second)
     value, scatter = np.zeros(len(prior)), START_SCATTER
     residual, slope = _gap(first, second, states)
     weight, damping = prior[free] ** -2.0, 0.0
-    stage = Stage(progress, "self-touch", USUAL_STEPS)
     for _ in range(ITERATIONS):
         matrix, gradient = _normal_equations(residual, slope[:, free], scatter)
         matrix[np.diag_indices(len(matrix))] += weight
@@ -113,29 +144,7 @@ def self_touch(
         stage.step()
         if np.abs(step).max() < CONVERGED:
             break
-    stage.end()
-    sigma = np.zeros(len(prior))
-    sigma[free] = np.sqrt(np.diag(covariance))
-    labels = first.labels, second.labels
-    named = [
-        f"{which}: {name}"
-        for which, names in zip(("first", "second"), labels, strict=True)
-        for name in names
-    ]
-    return SelfTouch(
-        states=states,
-        positions=(positions(first, states[0]), positions(second, states[1])),
-        sigmas=(sigma[:split], sigma[split:]),
-        labels=labels,
-        scatter=scatter,
-        undetermined=_undetermined(covariance, prior, free, named),
-        contradicted=tuple(
-            f"{name}: {abs(v) / p:.1f} sigmas of its prior"
-            for name, v, p in zip(named, value, prior, strict=True)
-            if ": taxel" not in name and p > 0 and abs(v) > CONTRADICTED * p
-        ),
-        factors=_factors(first, second),
-    )
+    return states, value, covariance, scatter
 
 
 def _gap(

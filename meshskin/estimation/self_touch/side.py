@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.arguments import NamedFields, check_array, check_type
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group
 from ...core.config import check_fields, quantity
 from ...core.errors import CalibrationError
 from ...core.se3 import exp_so3, hat
@@ -42,15 +42,15 @@ class TouchSide(Value, NamedFields):
     mount_sigma: float = quantity("m", 0.05, least=0.0)
     """Standard deviation of the mount's displacement before any data, m."""
     mount_turn_sigma: float = quantity("rad", 0.5, least=0.0)
-    """That of its rotation about each axis, rad."""
+    """Standard deviation of the mount's rotation about each axis, rad."""
     patch_sigma: float = quantity("m", 0.0, least=0.0)
-    """That of the displacement of each patch, m."""
+    """Standard deviation of the displacement of each patch, m."""
     patch_turn_sigma: float = quantity("rad", 0.0, least=0.0)
-    """That of its rotation about each axis, rad."""
+    """Standard deviation of each patch's rotation about each axis, rad."""
     taxel_sigma: float = quantity("m", 0.0, least=0.0)
-    """That of each taxel's own displacement along each axis, m."""
+    """Standard deviation of each taxel's own displacement along each axis, m."""
     joint_sigma: float = quantity("rad", 0.0, least=0.0)
-    """That of a constant error of each joint angle, rad."""
+    """Standard deviation of a constant error of each joint angle, rad."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -89,7 +89,7 @@ class TouchSide(Value, NamedFields):
             )
 
     def of(self, rows: ArrayLike) -> TouchSide:
-        """The same skin in some of the touches: indices or a mask."""
+        """This side in some of the touches: indices or a mask."""
         i = np.asarray(rows)
         return replace(self, angles=self.angles[i], readings=self.readings[i])
 
@@ -170,7 +170,7 @@ def positions(side: TouchSide, state: SideState) -> Array:
 def _on_mount(side: TouchSide, state: SideState) -> tuple[Array, Array]:
     """Taxels (n, 3) before the mount, and their turned arms (n, 3) from the patches' middles."""
     assert side.patch is not None
-    middle = sums_by_group(side.positions, side.patch) / np.bincount(side.patch)[:, None]
+    middle = means_by_group(side.positions, side.patch)
     arm = side.positions + state.taxels - middle[side.patch]
     turned = np.einsum("nij,nj->ni", state.patches[1][side.patch], arm)
     return (middle + state.patches[0])[side.patch] + turned, turned

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group, sums_by_group
 from .. import chart
 from ..data.measurements import Measurements
 from ..data.raw_readings import DENSE
@@ -129,19 +129,17 @@ def without_distant_readings(data: Measurements) -> Measurements:
     beside the taxel: the mean of the contacts about it, weighted by the readings, is closer.
     """
     n, where = len(data.ids), data.points[data.contact]
-    count = np.maximum(data.counts, 1)[:, None]
-    mean = sums_by_group(where, data.taxel, n) / count
-    square = np.bincount(data.taxel, np.sum((where - mean[data.taxel]) ** 2, axis=1), n)
+    off = where - means_by_group(where, data.taxel, n)[data.taxel]
+    square = means_by_group(np.sum(off**2, axis=1), data.taxel, n)
     reach = float(np.median(data.reach()))
-    wide = np.flatnonzero(np.sqrt(square / count[:, 0]) > FALSE_SPREAD * reach)
+    wide = np.flatnonzero(np.sqrt(square) > FALSE_SPREAD * reach)
     if not len(wide):
         return data
     centre = np.full((n, 3), np.nan)
     centre[wide] = data.points[_densest_contact(data, wide, reach)]
     near = np.linalg.norm(where - centre[data.taxel], axis=1) < NEAR * reach
-    level = np.where(near, data.pressure, 0.0)[:, None]
-    total = sums_by_group(np.column_stack([level * where, level]), data.taxel, n)
-    centre[wide] = total[wide, :3] / total[wide, 3:]
+    level = np.where(near, data.pressure, 0.0)
+    centre[wide] = means_by_group(where, data.taxel, n, level)[wide]
     distant = np.linalg.norm(where - centre[data.taxel], axis=1) > NEAR * reach
     return data.select(~distant)  # NaN is not distant
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...contact.ellipse import NODES
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group, sums_by_group
 from ...core.errors import CalibrationError
 from .. import chart
 from ..chart import Charts
@@ -50,18 +50,11 @@ def centroids(data: Measurements) -> Array:
     Readings further from a first mean than the patch reaches (noise above a low threshold) are left
     out of the second. NaN for a taxel without readings.
     """
-    weight = data.pressure**2
+    weight, points, n = data.pressure**2, data.points[data.contact], len(data.ids)
     far = 1.5 * data.reach()[data.contact]
-
-    def mean(weight: Array) -> Array:
-        points = weight[:, None] * data.points[data.contact]
-        total = np.bincount(data.taxel, weight, len(data.ids))
-        with np.errstate(invalid="ignore"):
-            return sums_by_group(points, data.taxel, len(data.ids)) / total[:, None]
-
-    first = mean(weight)
-    off = np.linalg.norm(data.points[data.contact] - first[data.taxel], axis=1)
-    second = mean(np.where(off < far, weight, 0.0))
+    first = means_by_group(points, data.taxel, n, weight)
+    off = np.linalg.norm(points - first[data.taxel], axis=1)
+    second = means_by_group(points, data.taxel, n, np.where(off < far, weight, 0.0))
     start = np.where(np.isfinite(second), second, first)
     seen = np.isfinite(start[:, 0])
     start[seen] = data.body.closest(start[seen]).point

@@ -56,7 +56,7 @@ def summary_mm(errors: Array) -> dict[str, float]:
 
 
 def nees(calibration: Calibration, skin: Skin) -> Array:
-    """Normalised squared error (n,) along the surface: 2 on average where the covariance holds.
+    """Normalized squared error (n,) along the surface: 2 on average where the covariance holds.
 
     NaN for a taxel whose position along the surface is not determined.
     """
@@ -117,7 +117,10 @@ def undetermined(calibration: Calibration) -> str:
     parts = []
     if whole.any():
         ids = ", ".join(str(k) for k in calibration.ids[whole][:10])
-        parts.append(f"{int(whole.sum())} taxels ({ids}{', ...' if whole.sum() > 10 else ''})")
+        plural = "s" if whole.sum() > 1 else ""
+        parts.append(
+            f"{int(whole.sum())} taxel{plural} ({ids}{', ...' if whole.sum() > 10 else ''})"
+        )
     names = ("x", "y", "z", "tilt about x", "tilt about y", "rotation about the normal")
     for k, name in enumerate(names):
         count = int((missing[:, k] & ~whole).sum())

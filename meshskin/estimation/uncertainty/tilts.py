@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array, means_by_group, sums_by_group
 
 if TYPE_CHECKING:
     from ..data.measurements import Measurements
 
 FLAT = 0.01
 """Mean square of the distances of contacts from a plane, relative to that along it, which the slope
-of their heights across it is regularised by: along the normal contacts hardly vary."""
+of their heights across it is regularized by: along the normal contacts hardly vary."""
 
 
 def tilts(data: Measurements, points: Array, distance: Array) -> Array:
@@ -30,10 +30,8 @@ def tilts(data: Measurements, points: Array, distance: Array) -> Array:
     a radius away from the contact.
     """
     n, weight = len(data.ids), data.pressure**2
-    total = np.maximum(np.bincount(data.taxel, weight, n), 1e-300)
     values = np.column_stack([points, distance])[data.contact]
-    mean = sums_by_group(weight[:, None] * values, data.taxel, n) / total[:, None]
-    off = values - mean[data.taxel]
+    off = values - means_by_group(values, data.taxel, n, weight)[data.taxel]
     arm, rise = off[:, :3], off[:, 3]
     normal = sums_by_group(weight[:, None, None] * arm[:, :, None] * arm[:, None, :], data.taxel, n)
     trace = np.maximum(np.trace(normal, axis1=1, axis2=2), 1e-300)

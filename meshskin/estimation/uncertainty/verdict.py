@@ -186,7 +186,7 @@ def few_readings(calibration: Calibration) -> list[Finding]:
 
 
 def scale(data: Measurements, calibration: Calibration) -> list[Finding]:
-    """The scale of pressures that a learned response mends: the largest reading of the profile
+    """The scale of pressures that a learned response corrects: the largest reading of the profile
     against that of the nominal contact model."""
     response = calibration.response
     if response is None or data.belief.readings == RAW:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import Array, Index, sums_by_group
+from ...core.arrays import Array, Index, means_by_group
 
 
 def surface_nets(values: NDArray[np.floating]) -> tuple[Array, Index]:
@@ -36,8 +36,7 @@ def surface_nets(values: NDArray[np.floating]) -> tuple[Array, Index]:
         cells.append(cell.ravel())
         quads.append(np.where(outward[:, None], cell, cell[:, ::-1]))
     used, row = np.unique(np.concatenate(cells), return_inverse=True)
-    count = np.bincount(row, minlength=len(used))
-    vertices = sums_by_group(np.concatenate(crossings), row, len(used)) / count[:, None]
+    vertices = means_by_group(np.concatenate(crossings), row)
     return vertices, _triangles(vertices, np.searchsorted(used, np.concatenate(quads)))
 
 

@@ -35,7 +35,8 @@ def unit(path: Path, units: str | None) -> float | None:
             return 1.0
         raise MeshError(
             f"{path.name}: the file has no length unit",
-            remedy=f"give units= (--units), one of {', '.join(UNITS)}",
+            remedy=f"give units= (--units), one of {', '.join(UNITS)}; meshskin check says which "
+            "one its size suggests",
         )
     return in_metres(units)
 

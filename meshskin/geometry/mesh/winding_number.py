@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import codegen
-from ...core.arrays import Array, Index, sums_by_group
+from ...core.arrays import Array, Index, means_by_group, sums_by_group
 from .topology import connected_components, edge_keys
 from .triangles import morton_order
 
@@ -137,8 +137,7 @@ def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
     loop = connected_components(ends[:, 0], ends[:, 1], n)[ends[:, 0]]
     _, loop = np.unique(loop, return_inverse=True)
     along = vertices[ends]
-    count = np.bincount(loop)
-    middle = np.stack([np.bincount(loop, along[:, 0, k]) / count for k in range(3)], axis=1)
+    middle = means_by_group(along[:, 0], loop)
     spokes = along - middle[loop][:, None]
     swept = np.cross(spokes[:, 0], spokes[:, 1])
     area = sums_by_group(swept, loop)

@@ -37,7 +37,7 @@ class Creases:
     """(e, 4, 3) inner points, m, from the tail to the head of the half-edge of this face"""
 
     def of(self, rows: Index) -> tuple[Index, Index, Array]:
-        """Those of the sorted faces `rows` (k,): positions in `rows`, corners, inner points."""
+        """Creases of the sorted faces `rows` (k,): positions in `rows`, corners, inner points."""
         low, end = (np.searchsorted(self.face, rows, side=side) for side in ("left", "right"))
         count = end - low
         place = np.repeat(np.arange(len(rows)), count)

@@ -161,7 +161,7 @@ def _clip(uv: Array, move: Array, edge: Index) -> tuple[Array, Index]:
 
 
 def _across(uv: Array, edge: Index, slot: Index) -> Array:
-    """The same points of the edges opposite corners `edge`, in the faces across (corner `slot`)."""
+    """Points of the edges opposite the corners `edge`, in the faces across (corner `slot`)."""
     weight = np.column_stack([1.0 - uv[:, 0] - uv[:, 1], uv])
     rows = np.arange(len(uv))
     head = np.clip(weight[rows, PREVIOUS[edge]], 0.0, 1.0)

@@ -28,7 +28,7 @@ LIFT = 2e-4
 """Height of discs above the surface, m: flat marks would flicker where the mesh is coarse."""
 AMBIENT, LAMP = 2.0, 1.4
 """Light from all sides and from the camera's side. Chosen by looking: surfaces that face the camera
-have the colors of the legend, others are darker."""
+have the colours of the legend, others are darker."""
 LAMP_DISTANCE = 100.0
 """Distance of the lamp, m: far from everything, so that it shines in one direction."""
 SKIN_DISTANCE, ROBOT_DISTANCE = 2.8, 1.5
@@ -78,7 +78,7 @@ class Drawing:
         )
 
     def _add_lights(self) -> None:
-        """Light from all sides and from the camera's: colors are those of the legend."""
+        """Light from all sides and from the camera's: colours are those of the legend."""
         self.scene.configure_default_lights(enabled=False)
         self.scene.configure_environment_map(None)
         self.scene.add_light_ambient("/ambient", intensity=AMBIENT)

@@ -1,4 +1,4 @@
-"""What the live page draws of an estimate, as numbers: colors, ellipsoids, markers, the legend."""
+"""What the live page draws of an estimate, as numbers: colours, ellipsoids, markers, the legend."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from .. import theme
 from ..plane import MM
 
 SIGMA_MM = (0.01, 10.0)
-"""Ends of the color scale, mm: below what printed skins are made to, and about the size of a
+"""Ends of the colour scale, mm: below what printed skins are made to, and about the size of a
 module. One scale for every recording, so that pages can be compared."""
 UNSEEN = (255, 255, 255)
-"""Color of a taxel that is not determined: the middle of the scale is gray."""
+"""Colour of a taxel that is not determined: the middle of the scale is grey."""
 PATCH, NEXT, TRUTH, SIGMA = (213, 94, 0), (204, 51, 120), (95, 107, 122), (0, 158, 115)
-"""Colors of the contact patch, of the next touch, of true taxels and of the ellipsoids."""
+"""Colours of the contact patch, of the next touch, of true taxels and of the ellipsoids."""
 DISC_HEIGHT = 0.1
 """Height of a disc above its middle, relative to its radius."""
 MAGNIFIED = 50.0
@@ -32,7 +32,7 @@ Colors = NDArray[np.uint8]
 
 
 def sigma_colors(sigma: ArrayLike) -> Colors:
-    """Colors (n, 3) of standard deviations (n,), m, on the scale SIGMA_MM; UNSEEN if not finite."""
+    """Colours (n, 3) of standard deviations (n,), m, on the scale SIGMA_MM; UNSEEN if infinite."""
     from matplotlib import colormaps
 
     s = np.asarray(sigma, dtype=float)
@@ -44,7 +44,7 @@ def sigma_colors(sigma: ArrayLike) -> Colors:
 
 
 def linear(colors: ArrayLike) -> Colors:
-    """Colors (..., 3) as viser wants those of batched meshes: intensities of light, 0 to 255.
+    """Colours (..., 3) as viser wants those of batched meshes: intensities of light, 0 to 255.
 
     Its browser side (1.1) takes all other colors as sRGB, of which this is the inverse (IEC
     61966-2-1).
@@ -105,7 +105,7 @@ def arrow(length: float) -> tuple[Array, NDArray[np.intp]]:
 
 
 def legend(truth: bool) -> str:
-    """The color scale, with its ends and decades in mm, and the other marks, as HTML; truth:
+    """The colour scale, with its ends and decades in mm, and the other marks, as HTML; truth:
     whether true taxels are drawn.
     """
     sigma = np.geomspace(*SIGMA_MM, 24) / MM

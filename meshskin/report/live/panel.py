@@ -36,7 +36,7 @@ SHOWN = 8
 UNITS = {"Pa": (1e-3, "kPa"), "m": (MM, "mm"), "rad": (180 / np.pi, "°")}
 """Factor and name of the unit in which the panel states one of SI."""
 VERDICT_COLORS = {KEEP_GOING: theme.ESTIMATE, DONE: theme.PALETTE[1], PASS: theme.PALETTE[1]}
-"""Colors of verdicts; of all others the warning's."""
+"""Colours of verdicts; of all others the warning's."""
 
 
 class Panel:

@@ -26,8 +26,8 @@ def step(loop: ClosedLoopModel) -> ca.Function:
     p = Parameters.split(parameters)
     position, turn, memory, uv = state[:3], state[3:7], state[7:-2], state[-2:]
     rotation = casadi_rotation(ca.vertcat(turn[1:], turn[0]))
-    center = rotation.T @ (ca.DM(loop.indenter_position) - position)
-    contact = surface_contact(anchor, uv, center, p, loop.contact)
+    centre = rotation.T @ (ca.DM(loop.indenter_position) - position)
+    contact = surface_contact(anchor, uv, centre, p, loop.contact)
     normal, lever = rotation @ contact.normal, rotation @ contact.point
     depth, force = delayed_reading(memory, contact)
     assumed = contact.with_modulus(loop.law.effective_modulus)

@@ -82,7 +82,7 @@ class BudgetReport(Card, Tabular):
     entries: tuple[Entry, ...]
     """Effects by decreasing shift, knobs, and effects that were refused."""
     estimate: float
-    """Shift of the taxels by all that is off together, m, by the linearised calibration."""
+    """Shift of the taxels by all that is off together, m, by the linearized calibration."""
     check: Check
     """Comparison of the estimate with the truth."""
     scene: Scene = field(repr=False)
@@ -93,6 +93,13 @@ class BudgetReport(Card, Tabular):
     """Belief of the owner, whatever is on."""
     tolerance: float
     """Newton decrement at which the calibration may stop (`calibrate`'s tolerance)."""
+
+    def __repr__(self) -> str:
+        on = sum(entry.on for entry in self.entries)
+        return (
+            f"<BudgetReport: {on} of {len(self.entries)} on, {1e3 * self.check.shift:.3g} mm of "
+            f"{1e3 * self.budget:.3g} mm left out>"
+        )
 
     @property
     def fits(self) -> bool:

@@ -2,7 +2,7 @@
 
 Two errors are measured. The error is the mean distance of the calibrated taxels from the truth,
 with the scene's own noise and effects; all settings use the same random numbers. The numerical part
-is the mean shift of the taxels by discretisation alone (numerical_error.py), from a reference at
+is the mean shift of the taxels by discretization alone (numerical_error.py), from a reference at
 the finest setting, which second routes confirm. A setting reaches an accuracy if the root of the
 sum of both squares is within it and no taxel is lost. Seconds are processor time of loading,
 simulating and calibrating on this machine.

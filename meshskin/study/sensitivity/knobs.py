@@ -19,7 +19,7 @@ from ...scene.scene import Scene
 from .setting import Setting
 
 FINER = 4
-"""Refinement of mesh and time step at which discretisation errors are small against those of the
+"""Refinement of mesh and time step at which discretization errors are small against those of the
 scene's own: both converge at least in first order."""
 FACES = (1 / 16, 1 / 4, 1, FINER)
 """Numbers of faces of a primitive, relative to the scene's: one subdivision each."""

@@ -1,4 +1,4 @@
-"""The numerical error of a simulation: the shift of the taxels by its discretisation alone.
+"""The numerical error of a simulation: the shift of the taxels by its discretization alone.
 
 The closed loop of a setting runs along the path of the reference, without noise. The pressures on
 its skin are assigned to the contacts of the reference and calibrated. If both loops were equal, no

@@ -1,6 +1,6 @@
 """Shifts of the taxels by leaving out effects, and by coarser levels of the knobs.
 
-They follow from the linearised calibration. At a solution the gradient of the negative log
+They follow from the linearized calibration. At a solution the gradient of the negative log
 likelihood is zero. For other readings (or contacts) it is g there, and the estimate moves, to first
 order in their difference, by
 
@@ -41,7 +41,7 @@ STEP_TOLERANCE = 1e-7
 
 @dataclass(frozen=True)
 class Solution:
-    """The point at which the calibration is linearised: n taxels and ks shared unknowns."""
+    """The point at which the calibration is linearized: n taxels and ks shared unknowns."""
 
     points: Array
     """Positions (n, 3), body frame, m; NaN for a taxel that is not determined."""
@@ -113,7 +113,7 @@ class EffectShifts:
     recordings: list[Recording] = field(init=False)
     """Recordings with all effects on, one per seed."""
     solutions: list[Solution] = field(init=False)
-    """Their solutions, at which the calibration is linearised."""
+    """Their solutions, at which the calibration is linearized."""
 
     def __post_init__(self) -> None:
         self.recordings = [self._recording(self.effects, seed) for seed in self.seeds]

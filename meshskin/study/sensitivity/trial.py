@@ -39,7 +39,7 @@ class Row:
     error_mm: float = float("nan")
     """Mean distance of the taxels from the truth, with the scene's noise and effects."""
     numerical_mm: float = float("nan")
-    """Mean shift of the taxels by discretisation, contact model and tolerance, without noise."""
+    """Mean shift of the taxels by discretization, contact model and tolerance, without noise."""
     bound_mm: float = float("nan")
     """Mean error of an efficient estimate (Cramér-Rao bound); 0 without noise."""
     located: int = 0

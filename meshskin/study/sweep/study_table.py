@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.errors import StudyError
 from ...core.notebook import Card, Tabular
+from ...core.value import Value
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -19,11 +20,11 @@ if TYPE_CHECKING:
 USUAL = "position_error_mm.mean"
 """The result that a figure shows where the study has it."""
 MAX_LINES = 8
-"""Lines of a figure: more cannot be told apart."""
+"""Lines of a figure: more cannot be distinguished."""
 
 
 @dataclass(frozen=True, eq=False)
-class StudyTable(Card, Tabular):
+class StudyTable(Value, Card, Tabular):
     """The results of a study: one row per case."""
 
     table: pa.Table

@@ -52,7 +52,7 @@ class _Worker:
 
 
 _workers: list[_Worker] = []
-"""The worker that this process is: one in a worker process, none elsewhere."""
+"""The worker of this process; None outside worker processes."""
 
 
 def initialize(setup: WorkerSetup) -> None:

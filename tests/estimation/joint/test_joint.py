@@ -39,32 +39,32 @@ def test_exact_on_an_ellipsoid(world):
 def many(world, seeds, sigma=0.01):
     """Mean errors over the bound's expectation, and mean NEES, of each seed."""
     belief = world.belief(sigma, 5 * sigma)
-    ratio, normalised = [], []
+    ratio, normalized = [], []
     for seed in range(seeds):
         recording = world.record(sigma, 5 * sigma, seed)
         bound = cramer_rao(recording, belief, world.skin)
         found = calibrate(recording, belief)
         ratio.append(position_errors(found, world.skin).mean() / bound.mean)
-        normalised.append(nees(found, world.skin).mean())
-    return np.array(ratio), np.array(normalised)
+        normalized.append(nees(found, world.skin).mean())
+    return np.array(ratio), np.array(normalized)
 
 
 def test_reaches_the_bound_with_consistent_covariance(world):
     seeds = 6
-    ratio, normalised = many(world, seeds)
+    ratio, normalized = many(world, seeds)
     # The mean of n errors, each Rayleigh-like, scatters by 0.52 / sqrt(n) of itself.
     assert abs(ratio.mean() - 1) < 4 * 0.52 / np.sqrt(seeds * len(world.truth))
     low, high = nees_band(seeds * len(world.truth), 0.999)
-    assert low < normalised.mean() < high
+    assert low < normalized.mean() < high
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sigma", [0.01, 0.03])
 def test_reaches_the_bound_over_forty_seeds(world, sigma):
-    ratio, normalised = many(world, 40, sigma)
+    ratio, normalized = many(world, 40, sigma)
     assert ratio.mean() == pytest.approx(1.0, abs=0.05)
     low, high = nees_band(40 * len(world.truth))
-    assert low < normalised.mean() < high
+    assert low < normalized.mean() < high
 
 
 def test_without_a_noise_model_the_residuals_scale_the_covariance(world):

@@ -72,14 +72,14 @@ def test_modules_show_all_six_degrees_of_freedom(tiled, clean):
 
 @pytest.mark.slow
 def test_modules_are_consistent_over_seeds(tiled):
-    normalised, spin = [], []
+    normalized, spin = [], []
     for seed in range(30):
         found = calibrate(tiled.world.record(0.01, 0.05, seed), tiled.belief)
         # ten taxels of a module share one pose: one of them speaks for it
-        normalised.append(nees(found, tiled.world.skin).reshape(7, 10)[:, 3])
+        normalized.append(nees(found, tiled.world.skin).reshape(7, 10)[:, 3])
         spin.append((spin_errors(tiled, found) ** 2 / found.covariances[:, 5, 5])[::10])
     low, high = nees_band(30 * 7)
-    assert low < np.mean(normalised) < high
+    assert low < np.mean(normalized) < high
     assert abs(np.mean(spin) - 1) < 2 * np.sqrt(2 / (30 * 7))
 
 

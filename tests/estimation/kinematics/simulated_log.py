@@ -55,7 +55,7 @@ class Exploration:
         )
 
     def pressures(self):
-        """The log of a skin whose readings are pressures, Pa, and of a force sensor."""
+        """The log of a skin that reads pressures, Pa, and of a force on the robot's clock."""
         log, recording = self.log, self.recording
         pressure, force = np.full(log.readings.shape, np.nan), np.zeros(len(log.time))
         column = np.searchsorted(np.asarray(log.taxel_ids), recording.reading_taxel)
@@ -64,6 +64,7 @@ class Exploration:
         row = self.frames[recording.reading_contact]
         pressure[row, column] = np.where(noisy > known.threshold, noisy, np.nan)
         force[self.frames] = recording.force
+        force = np.interp(log.time, log.time - CLOCK, force)
         return replace(log, readings=pressure, force=force)
 
     def streams(self, rate=125.0, seed=1):

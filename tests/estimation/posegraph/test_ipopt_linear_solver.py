@@ -55,7 +55,7 @@ class Solver:
         )  # fmt: skip
 
     def solved(self, dense, right):
-        """x, and INFO of the factorisation."""
+        """x, and INFO of the factorization."""
         if self.info[0]:
             return None, self.info
         self.values = np.concatenate([dense[self.entries] / 2] * 2)
@@ -74,7 +74,7 @@ class Solver:
 
 
 def solved(linear_solver, dense, right):
-    """x, and INFO of the factorisation, for one matrix."""
+    """x, and INFO of the factorization, for one matrix."""
     return Solver(linear_solver, dense).solved(dense, right)
 
 

@@ -90,16 +90,16 @@ def test_on_a_sphere_the_ellipses_are_circles(world):
 
 
 def test_noise_gives_the_stated_errors(oval):
-    normalised = []
+    normalized = []
     for seed in range(4):
         data = gather(oval.record(0.01, 0.05, seed), oval.belief(0.01, 0.05))
         fit = trilaterate.least_squares(data)
         assert error(oval, fit).mean() < 20e-6
         local = np.einsum("nij,ni->nj", fit.rotations[:, :, :2], oval.truth - fit.points)
         weighed = np.einsum("ni,nij,nj->n", local, np.linalg.inv(fit.covariance), local)
-        normalised.append(weighed.mean())
+        normalized.append(weighed.mean())
     low, high = nees_band(4 * len(oval.truth), 0.999)
-    assert low < np.mean(normalised) < high
+    assert low < np.mean(normalized) < high
 
 
 def test_pressures_above_the_maximum_are_distance_zero(oval):

@@ -34,17 +34,17 @@ def test_exact_on_a_mesh_and_on_an_ellipsoid(world):
 
 
 def test_noise_gives_the_stated_errors(world):
-    normalised, circles = [], []
+    normalized, circles = [], []
     for seed in range(4):
         data = gather(world.record(0.01, 0.05, seed), world.belief(0.01, 0.05))
         fit = trilaterate.least_squares(data)
         assert error(world, fit).mean() < 20e-6
         local = np.einsum("nij,ni->nj", fit.rotations[:, :, :2], world.truth - fit.points)
         weighed = np.einsum("ni,nij,nj->n", local, np.linalg.inv(fit.covariance), local)
-        normalised.append(weighed.mean())
+        normalized.append(weighed.mean())
         circles.append(error(world, trilaterate.three_circles(data)).mean())
     low, high = nees_band(4 * len(world.truth), 0.999)
-    assert low < np.mean(normalised) < high
+    assert low < np.mean(normalized) < high
     assert np.mean(circles) > 3 * error(world, fit).mean()  # three circles of some fifty
 
 

@@ -32,14 +32,14 @@ def test_alignment_part_by_part(graph):
     assert np.allclose(back[:7, :3, 3], graph.poses[:7, :3, 3].mean(axis=0))
 
 
-def test_covariance_against_linearised_alignment(graph):
+def test_covariance_against_linearized_alignment(graph):
     told = gauge.covariances(graph, graph.poses)
     assert np.isinf(np.diag(told[11])).all()
     rows, free = np.arange(7), np.arange(6, 42)
     inner = gauge.gauss_newton_information(graph, graph.poses).toarray()[:42, :42]
     s = np.zeros((42, 42))
     s[np.ix_(free, free)] = np.linalg.inv(inner[np.ix_(free, free)])
-    # The alignment, linearised by finite differences of `aligned` itself.
+    # The alignment, linearized by finite differences of `aligned` itself.
     step, projector = 1e-5, np.zeros((42, 42))
     for k in range(42):
         shift = np.zeros((7, 6))

@@ -15,13 +15,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ....core.errors import RecordingError
-from .records import IDL, MSG, UNDEFINED, Connection, Record, Torn
+from .records import IDL, MSG, UNDEFINED, Connection, Record, Torn, read_exactly
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
 """Operation codes of the records that are read, and of those after the data."""
 FORMATS = {"ros2msg": MSG, "ros1msg": MSG, "ros2idl": IDL, "omgidl": IDL}
 """Format of definitions by the encoding of a schema."""
+DAMAGED = (Torn, KeyError, ValueError, struct.error, OSError, OverflowError)
+"""What reading damaged records raises."""
 _RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _CHUNK, _TEXT, _SIZE = struct.Struct("<QQQI"), struct.Struct("<I"), struct.Struct("<Q")
 
@@ -29,8 +31,8 @@ Schemas = dict[int, tuple[str, str, bytes]]
 """Name, encoding and data of the schemas by their number."""
 
 
-def records(path: Path) -> Iterator[Connection | Record]:
-    """Connections and messages in the order of the file.
+def records(path: Path) -> Iterator[Connection | Record | Torn]:
+    """Connections and messages in the order of the file, and Torn for a chunk that is damaged.
 
     Raises Torn where the file ends before its footer or is damaged, RecordingError for a
     compression that is not read.
@@ -42,17 +44,22 @@ def records(path: Path) -> Iterator[Connection | Record]:
         while True:
             start = stream.tell()
             try:
-                code, length = _RECORD.unpack(_take(stream, _RECORD.size))
+                code, length = _RECORD.unpack(read_exactly(stream, _RECORD.size))
                 if code in (FOOTER, DATA_END):
                     return
                 if code == CHUNK:
-                    yield from _chunk(stream, length, schemas, path)
+                    try:
+                        yield from _chunk(stream, length, schemas, path)
+                    except DAMAGED:
+                        if stream.seek(start + _RECORD.size + length) >= size:
+                            raise
+                        yield Torn(f"chunk at byte {start} of {size}")
                 elif code in (SCHEMA, CHANNEL, MESSAGE):
-                    if (one := _record(code, _take(stream, length), schemas)) is not None:
+                    if (one := _record(code, read_exactly(stream, length), schemas)) is not None:
                         yield one
                 elif stream.seek(length, 1) > size:
                     raise Torn
-            except (Torn, KeyError, ValueError, struct.error) as error:
+            except DAMAGED as error:
                 raise Torn(f"in its record at byte {start} of {size}") from error
 
 
@@ -60,9 +67,9 @@ def _chunk(
     stream: BinaryIO, length: int, schemas: Schemas, path: Path
 ) -> Iterator[Connection | Record]:
     """The records of a chunk, as far as they are there. Raises Torn where it ends early."""
-    _, _, unpacked, checksum = _CHUNK.unpack(_take(stream, _CHUNK.size))
+    _, _, unpacked, checksum = _CHUNK.unpack(read_exactly(stream, _CHUNK.size))
     name = _text(stream)
-    (packed,) = _SIZE.unpack(_take(stream, _SIZE.size))
+    (packed,) = _SIZE.unpack(read_exactly(stream, _SIZE.size))
     if _CHUNK.size + _TEXT.size + len(name) + _SIZE.size + packed != length:
         raise Torn
     content = _decompress(stream.read(packed), name, path)
@@ -71,8 +78,8 @@ def _chunk(
         raise Torn
     inner = BytesIO(content)
     while inner.tell() < len(content):
-        code, size = _RECORD.unpack(_take(inner, _RECORD.size))
-        if (one := _record(code, _take(inner, size), schemas)) is not None:
+        code, size = _RECORD.unpack(read_exactly(inner, _RECORD.size))
+        if (one := _record(code, read_exactly(inner, size), schemas)) is not None:
             yield one
     if not whole:
         raise Torn
@@ -89,7 +96,8 @@ def _record(code: int, content: bytes, schemas: Schemas) -> Connection | Record 
     key = int.from_bytes(stream.read(2), "little")
     if code == SCHEMA:
         name, encoding = _text(stream), _text(stream)
-        schemas[key] = name, encoding, _take(stream, _TEXT.unpack(_take(stream, 4))[0])
+        (length,) = _TEXT.unpack(read_exactly(stream, _TEXT.size))
+        schemas[key] = name, encoding, read_exactly(stream, length)
         return None
     schema = int.from_bytes(stream.read(2), "little")
     name, encoding, data = schemas.get(schema, ("", "", b""))
@@ -129,12 +137,4 @@ def _decompress(content: bytes, compression: str, path: Path) -> bytes:
 
 
 def _text(stream: BinaryIO) -> str:
-    return _take(stream, _TEXT.unpack(_take(stream, _TEXT.size))[0]).decode()
-
-
-def _take(stream: BinaryIO, length: int) -> bytes:
-    """That many bytes. Raises Torn if there are fewer."""
-    found = stream.read(length)
-    if len(found) < length:
-        raise Torn
-    return found
+    return read_exactly(stream, _TEXT.unpack(read_exactly(stream, _TEXT.size))[0]).decode()

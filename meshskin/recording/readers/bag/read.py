@@ -25,6 +25,8 @@ SCANS = {"ros1": ros1.records, "sqlite": sqlite_file.records, "mcap": mcap_file.
 """The functions that read records one by one, by format."""
 MAGICS = {ros1.MAGIC: "ros1", sqlite_file.MAGIC: "sqlite", mcap_file.MAGIC: "mcap"}
 """First bytes of the formats."""
+MAX_DAMAGED = 0.05
+"""Share of the messages of a topic so far up to which those that cannot be decoded are left out."""
 STAMP, STAMP_AT = struct.Struct("<iI"), 4
 """Seconds and nanoseconds of a header, and the byte where they are: in ROS 1 after the sequence
 number, in CDR after the encapsulation."""
@@ -69,7 +71,7 @@ def read(
         note = scanned.notes[0] if scanned.notes else reason
         raise RecordingError(f"{path.name} has no readable message: {note}")
     log, could = _collect(path, scanned, log_map, progress)
-    notes = tuple(scanned.notes) or (f"read record by record, since rosbags says: {reason}",)
+    notes = log.notes or (f"read record by record, since rosbags says: {reason}",)
     return Log(log.path, log.streams, notes), could
 
 
@@ -99,11 +101,23 @@ def _collect(path: Path, bag: Bag, log_map: LogMap | None, progress: bool) -> tu
     for one in every:
         samples.setdefault(one.map.topic, []).append(one)
     decoders = {topic: bag.decoder(topic) for topic in samples}
+    damaged = dict.fromkeys(samples, 0)
     for topic, time, data in _shown(bag, samples, path, progress):
-        message = decoders[topic](data)
+        try:
+            message = decoders[topic](data)
+        except RecordingError:
+            damaged[topic] += 1
+            if damaged[topic] > MAX_DAMAGED * samples[topic][0].messages:
+                raise  # not damage, but another type
+            continue
         for one in samples[topic]:
             one.add(message, time)
-    return Log(path, tuple(one.stream() for one in every), tuple(bag.notes)), {}
+    left_out = [
+        f"{count} messages of {topic} cannot be decoded: they are damaged, and left out"
+        for topic, count in damaged.items()
+        if count
+    ]
+    return Log(path, tuple(one.stream() for one in every), (*bag.notes, *left_out)), {}
 
 
 def _times(path: Path, bag: Bag, progress: bool) -> tuple[Log, Could]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, BinaryIO, NamedTuple, Protocol
 
 from ....core.errors import RecordingError
 
@@ -39,6 +39,14 @@ class Record(NamedTuple):
 
 class Torn(Exception):
     """The end of what can be read of a bag; the text says where and why."""
+
+
+def read_exactly(stream: BinaryIO, length: int) -> bytes:
+    """The next `length` bytes of a stream. Raises Torn if there are fewer."""
+    found = stream.read(length)
+    if len(found) < length:
+        raise Torn
+    return found
 
 
 class Bag(Protocol):
@@ -183,13 +191,29 @@ class ScannedBag:
         self._store = typestore(self.connections.values(), files)
 
     def _all(self) -> Iterator[tuple[Path, Connection | Record]]:
+        """Connections and messages; no message that is the last one before damage, whose data may
+        be damaged, too."""
         self.notes.clear()
         for path in self.paths:
+            last: Record | None = None
             try:
                 for one in self.records(path):
-                    yield path, one
+                    if isinstance(one, Torn):
+                        self.notes.append(
+                            f"{path.name} is damaged: the {one} is left out from there"
+                        )
+                        last = None
+                        continue
+                    if last is not None:
+                        yield path, last
+                    last = one if isinstance(one, Record) else None
+                    if last is None:
+                        yield path, one
             except Torn as end:
                 self.notes.append(f"{path.name} is torn {end}: what is before is read")
+            else:
+                if last is not None:
+                    yield path, last
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of receipt (ns) and data of the messages of some topics."""

@@ -14,12 +14,14 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ....core.errors import RecordingError
-from .records import MSG, Connection, Record, Torn
+from .records import MSG, Connection, Record, Torn, read_exactly
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, CHUNK, CONNECTION = 2, 5, 7
 """Values of the field `op` of the records that are read."""
 _LENGTH, _TIME, _POSITION = struct.Struct("<I"), struct.Struct("<II"), struct.Struct("<Q")
+DAMAGED = (Torn, KeyError, IndexError, ValueError, struct.error, OSError)
+"""What reading damaged records raises."""
 _SECOND = 10**9
 """Nanoseconds."""
 
@@ -35,11 +37,11 @@ def is_closed(path: Path) -> bool:
     return _POSITION.unpack(header.get("index_pos", bytes(8)))[0] != 0
 
 
-def records(path: Path) -> Iterator[Connection | Record]:
-    """Connections and messages in the order of the file.
+def records(path: Path) -> Iterator[Connection | Record | Torn]:
+    """Connections and messages in the order of the file, and Torn for a chunk that is damaged.
 
-    Raises Torn where the file ends within a record, RecordingError for a compression that is not
-    read.
+    Raises Torn where the file ends within a record or is damaged beyond it, RecordingError for a
+    compression that is not read.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -49,17 +51,23 @@ def records(path: Path) -> Iterator[Connection | Record]:
             try:
                 header = _header(stream)
                 operation = header["op"][0]
-                length = _LENGTH.unpack(_take(stream, 4))[0]
+                length = _LENGTH.unpack(read_exactly(stream, 4))[0]
                 if operation == CHUNK:
                     content = stream.read(length)
-                    yield from _chunk(_decompress(content, header["compression"].decode(), path))
+                    try:
+                        whole = _decompress(content, header["compression"].decode(), path)
+                        yield from _chunk(whole)
+                    except DAMAGED:
+                        if len(content) < length:
+                            raise
+                        yield Torn(f"chunk at byte {start} of {size}")
                     if len(content) < length:
                         raise Torn
                 elif operation in (CONNECTION, MESSAGE):
-                    yield _record(operation, header, _take(stream, length))
+                    yield _record(operation, header, read_exactly(stream, length))
                 else:
                     stream.seek(length, 1)
-            except (Torn, KeyError, IndexError, ValueError, struct.error, OSError) as error:
+            except DAMAGED as error:
                 raise Torn(f"in its record at byte {start} of {size}") from error
 
 
@@ -68,7 +76,7 @@ def _chunk(content: bytes) -> Iterator[Connection | Record]:
     stream = BytesIO(content)
     while stream.tell() < len(content):
         header = _header(stream)
-        data = _take(stream, _LENGTH.unpack(_take(stream, 4))[0])
+        data = read_exactly(stream, _LENGTH.unpack(read_exactly(stream, 4))[0])
         if header["op"][0] in (CONNECTION, MESSAGE):
             yield _record(header["op"][0], header, data)
 
@@ -111,16 +119,8 @@ def _decompress(content: bytes, compression: str, path: Path) -> bytes:
     )
 
 
-def _take(stream: BinaryIO, length: int) -> bytes:
-    """That many bytes. Raises Torn if there are fewer."""
-    found = stream.read(length)
-    if len(found) < length:
-        raise Torn
-    return found
-
-
 def _header(stream: BinaryIO) -> dict[str, bytes]:
-    return _fields(_take(stream, _LENGTH.unpack(_take(stream, 4))[0]))
+    return _fields(read_exactly(stream, _LENGTH.unpack(read_exactly(stream, 4))[0]))
 
 
 def _fields(data: bytes) -> dict[str, bytes]:
