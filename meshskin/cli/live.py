@@ -81,7 +81,7 @@ def command(options: argparse.Namespace) -> int:
     with LiveView(options) as view:
         with bar(quiet=False) as progress:
             given = recorded(options) if options.map is None else from_log(options, progress)
-        found = given.found or (_calibrated(given) if _has_own_response(given.belief) else None)
+        found = given.found or (_calibrated(given) if _has_own_response(given) else None)
         known = _known_response(found, given.recording)
         for line in given.lines:
             print(line)
@@ -96,12 +96,17 @@ def command(options: argparse.Namespace) -> int:
     return 0
 
 
-def _has_own_response(belief: Belief) -> bool:
-    """Whether the response is one that only a calibration of all contacts learns."""
-    from ..contact import LEARNED
+def _has_own_response(given: FromLog) -> bool:
+    """Whether the response is one that only a calibration of all contacts learns: declared so, or
+    of contacts for which no contact model holds."""
+    from ..contact import AUTO, LEARNED
+    from ..estimation.data.gather import holds
     from ..scene.belief import RAW
 
-    return belief.readings == RAW or belief.contact == LEARNED
+    belief = given.belief
+    if belief.readings == RAW or belief.contact == LEARNED:
+        return True
+    return belief.contact == AUTO and not holds(given.recording, belief)
 
 
 def _calibrated(given: FromLog) -> Calibration:

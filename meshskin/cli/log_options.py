@@ -91,7 +91,8 @@ def from_log(options: argparse.Namespace, progress: Progress | None) -> FromLog:
     log_map = LogMap.load(options.map)
     log = read_log(options.recording, log_map, progress=True, scan=options.scan)
     frames = log_frames(log, log_map)
-    belief, lines = belief_of(options, frames.skin_log.taxel_ids), list(summary(frames, log))
+    belief = belief_of(options, frames.skin_log.taxel_ids)
+    lines = [*(f"  note: {note}" for note in log.notes), *summary(frames, log)]
     if options.indenter_mm is None:
         recording = recording_from_log(log, log_map, frames)
         return FromLog(recording, belief, lines, frames.skin_log)

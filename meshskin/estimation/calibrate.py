@@ -13,7 +13,7 @@ from ..contact import AUTO, LEARNED
 from ..core.arguments import check_integer, check_name, check_real, check_type
 from ..core.arrays import Array
 from ..core.blas import single_threaded
-from ..core.errors import CalibrationError, warn_left_out
+from ..core.errors import CalibrationError, ContactError, warn_left_out
 from ..core.progress import Progress, Stage
 from ..core.provenance import digest, provenance
 from ..recording.recording import Recording
@@ -202,13 +202,14 @@ class Estimation:
 
     def _learned(self, stage: Stage) -> EstimatorResult | None:
         """The estimate with a learned response, if the contact model was chosen by "auto"; None
-        where it was not, or where that estimate does not converge."""
+        where it was not, where the indenter does not fit most contacts, or where that estimate does
+        not converge."""
         if self.belief.contact != AUTO:
             return None
         try:
             data = gather(self.recording, replace(self.belief, contact=LEARNED))
             return learned.estimate(data, stage)
-        except CalibrationError:
+        except (CalibrationError, ContactError):
             return None
 
     @cached_property

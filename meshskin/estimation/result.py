@@ -20,8 +20,6 @@ SHARED_ERRORS = "errors that readings of contacts near one another {} share"
 """Factor of an estimate whose standard deviations hold such errors."""
 ALIKE_CONTACTS = "errors of the contact points that are alike over the body"
 """Factor of an estimate whose standard deviations hold a field of such errors."""
-MISFITTING = "whose readings fit no others: bumps, jumps of the curvature, wrong points"
-"""What contacts are that some estimates leave out (`without`)."""
 CENSORING = "silent readings, censored at the threshold"
 """Factor of an estimate with known noise."""
 CONTACT_POINTS = (
@@ -44,11 +42,6 @@ def name_rivals(faults: np.ndarray, rows: np.ndarray, points: Array, rivals: Arr
 def join_words(*words: str) -> str:
     """Several faults of a taxel as one text; empty ones are left out."""
     return ", ".join(filter(None, words))
-
-
-def without(count: int, what: str) -> str:
-    """Factor of an estimate that `count` contacts, which are `what`, were left out of."""
-    return f"without {count} contact{'s' * (count > 1)} {what}"
 
 
 @dataclass(frozen=True, eq=False)

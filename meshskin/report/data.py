@@ -114,8 +114,9 @@ class ReportData:
     body: Body | None = None
 
     def __post_init__(self) -> None:
-        stages = {k: v for k, v in self.calibration.seconds.items() if k != "total"}
-        object.__setattr__(self, "seconds", self.seconds or stages)
+        seconds = self.seconds or self.calibration.seconds
+        stages = {k: v for k, v in seconds.items() if k != "total"}  # which is their sum
+        object.__setattr__(self, "seconds", stages)
         object.__setattr__(self, "provenance", self.provenance or self.calibration.provenance)
 
     @cached_property

@@ -302,10 +302,8 @@ def key_numbers(data: ReportData) -> list[str]:
         out.append(tile("Stated uncertainty", significant(float(np.median(s))), "mm", note))
     out += _force(data)
     if data.seconds:
-        stages = {k: v for k, v in data.seconds.items() if k != "total"} or dict(data.seconds)
-        total = data.seconds.get("total", sum(stages.values()))
-        note = f"longest stage: {max(stages, key=lambda k: stages[k])}"
-        out.append(tile("Time", significant(total), "s", note))
+        note = f"longest stage: {max(data.seconds, key=lambda k: data.seconds[k])}"
+        out.append(tile("Time", significant(sum(data.seconds.values())), "s", note))
     return out
 
 

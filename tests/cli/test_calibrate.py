@@ -167,6 +167,9 @@ def test_every_option_of_a_body_is_one_of_calibrate_and_check(log, tmp_path, cap
     with pytest.raises(MeshError, match="not watertight"):
         body_of(log, file, "--units", "m")
     assert len(body_of(log, file, "--units", "m", "--open").mesh.faces) == len(dome.faces)
+    asked = ["calibrate", str(log), "--body", str(file), "--units", "m", "--out", str(tmp_path)]
+    assert cli.main([*asked, "--indenter-radius-mm", "10", "--young-kpa", "150"]) == 2
+    assert "or --open if it is meant to be open" in capsys.readouterr().err
     assert cli.main(["check", str(file), "--units", "m", "--open"]) == 0
     (tmp_path / "urdf").mkdir()
     urdf = tmp_path / "urdf" / "toy.urdf"

@@ -44,6 +44,8 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(robot_log, "JOINTS", exploration.log.joint_names)
         robot_log.write_mcap(folder / "log.mcap", exploration.streams())
+    whole = (folder / "log.mcap").read_bytes()
+    (folder / "log.mcap").write_bytes(whole[:-20])  # without its end, behind all messages
     ids = np.asarray(scene.skin.ids)
     (folder / "map.toml").write_text(
         '[[stream]]\ntopic = "/joint_states"\nkind = "joints"\n'
@@ -70,6 +72,7 @@ def test_one_command(folder, capsys):
     printed = capsys.readouterr().out
     assert "verdict: " in printed
     assert "off the body before the estimate" in printed
+    assert "  note: read record by record" in printed
     metrics = json.loads((folder / "out" / "metrics.json").read_text())
     joints = metrics["kinematics"]["joints"]
     assert joints.keys() == set(exploration.log.joint_names)

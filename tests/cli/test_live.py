@@ -133,6 +133,20 @@ def test_the_page_ends_with_the_calibration_of_all_contacts(
     assert len(shown) == (count == 9)
 
 
+def test_contacts_that_no_contact_model_describes_are_replayed(noisy, viewer, tmp_path, capsys):
+    """Where the skin is believed softer than contact models reach, its response is learned."""
+    rng = np.random.default_rng(0)
+    points = noisy.skin.positions[:12].repeat(25, axis=0)
+    recording = ms.press(noisy, points + rng.normal(scale=3e-3, size=points.shape), seed=1)
+    ms.Recording(recording.contacts, recording.readings, {}).save(tmp_path / "log")
+    noisy.body.mesh.export(tmp_path / "body.ply")
+    skin = ["--body", str(tmp_path / "body.ply"), "--units", "m", "--young-kpa", "60"]
+    options = ["--indenter-radius-mm", "10", "--port", "0", "--speed", "32"]
+    assert main(["live", str(tmp_path / "log"), *skin, *options]) == 0
+    assert viewer[-1].status.determined >= 10
+    assert "the response is as learned from the whole log" in capsys.readouterr().out
+
+
 def test_any_error_of_the_last_calibration_is_shown_on_the_page(log, viewer, monkeypatch, capsys):
     def refuse(given):
         raise ContactError("the patch is too wide")

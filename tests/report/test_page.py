@@ -153,10 +153,12 @@ def test_the_page_contains_the_numbers(full: Written) -> None:
 
 
 def test_the_total_time_is_no_stage(case: SimpleNamespace, tmp_path: Path) -> None:
-    seconds = {"gather": 1.0, "joint": 2.5, "total": 4.0}
+    seconds = {"gather": 1.0, "joint": 2.5, "other": 0.5, "total": 4.0}
     page = write_text(case, tmp_path, seconds=seconds)
-    assert "longest stage: joint" in page.text
-    assert "Time 4.00 s" in " ".join(page.text.split())
+    text = " ".join(page.text.split())
+    assert "longest stage: joint" in text
+    assert "Time 4.00 s" in text
+    assert "other 0.500 12 % all 4.000" in text
 
 
 def test_a_prediction_is_compared_with_the_result(case: SimpleNamespace, tmp_path: Path) -> None:

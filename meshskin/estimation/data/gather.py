@@ -15,10 +15,10 @@ from . import unit_checks
 from .delay import without_delay
 from .global_parameters import declared_parameters
 from .measurements import Measurements, nominal_patches
-from .patch_shape import over_patches
+from .patch_shape import in_hollows, over_patches
 from .raw_readings import check_pressures, nominal_pressure, pressures_above_rest
 from .registration import registered
-from .resolve_belief import contact_model, resolve_belief, valid_contacts
+from .resolve_belief import MAX_INVALID, contact_model, resolve_belief, valid_contacts
 from .sensor_range import check_answered, check_disc, common_end, constant_taxels, ends_of_range
 
 if TYPE_CHECKING:
@@ -64,8 +64,10 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         check_pressures(pressure[read], contacts, index[read], points)
     reference = belief.force_reference or 1.0
     unit_checks.check_force(recording.force[used], reference)
-    valid = np.ones(int(used.sum()), dtype=bool)
-    if not learned:  # a learned response needs no valid model
+    if learned:  # which needs no valid model, but a single contact point
+        tight = in_hollows(hit.take(used), belief.indenter.radius)
+        valid = ~tight | (tight.mean() <= MAX_INVALID)
+    else:
         valid = valid_contacts(recording.force[used], hit.curvature[used], belief)
     strays = unit_checks.off_surface(
         hit.take(used), recording.normals[used], belief.indenter.radius
@@ -155,15 +157,15 @@ def gather_or_learn(recording: Recording, belief: Belief) -> tuple[Measurements,
         return gather(recording, belief), ""
     except ContactError as error:
         stiffer = replace(belief.material, young=STIFFER * belief.material.young)
-        if belief.contact != contact.AUTO or not _holds(
+        if belief.contact != contact.AUTO or not holds(
             recording, replace(belief, material=stiffer)
         ):
             raise
         return gather(recording, replace(belief, contact=contact.LEARNED)), str(error)
 
 
-def _holds(recording: Recording, belief: Belief) -> bool:
-    """Whether a contact model holds in the recording's contacts."""
+def holds(recording: Recording, belief: Belief) -> bool:
+    """Whether a contact model, that of the belief, holds in the recording's contacts."""
     try:
         resolve_belief(belief, recording)
     except ContactError:

@@ -168,6 +168,11 @@ class Measurements:
         return np.asarray(self.curvature.mean(axis=1) + 1 / self.belief.indenter.radius)
 
     @cached_property
+    def indentation(self) -> float:
+        """Typical depth of the indentation, m."""
+        return float(np.median(self.radii**2 * self.relative_curvature))
+
+    @cached_property
     def typical_curvature(self) -> float:
         """Median of `relative_curvature`, 1/m: a learned response refers to it."""
         median = np.median(self.relative_curvature)
@@ -208,6 +213,22 @@ class Measurements:
         force, curvature, peak, _ = references
         belief = replace(self.belief, force_reference=force)
         return replace(self, belief=belief, references=(curvature, peak))
+
+    @property
+    def excluded(self) -> tuple[str, ...]:
+        """Which contacts were left out, and why, in words."""
+        why = {
+            "in which the contact model does not hold": self.left_out,
+            "off the believed surface": self.strays,
+            "whose readings fit no others: bumps, jumps of the curvature, wrong points": len(
+                self.misfitting
+            ),
+        }
+        return tuple(
+            f"without {count} contact{'s' * (count > 1)} {words}"
+            for words, count in why.items()
+            if count
+        )
 
     def at_contacts(self, hit: Closest) -> Measurements:
         """These measurements with the contacts at the points `hit` (m) of the body.

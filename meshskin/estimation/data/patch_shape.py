@@ -16,9 +16,9 @@ from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
 from ...scene.belief import Belief
 
-MAX_HOLLOWS = 0.05
-"""Largest part of the contacts in hollows tighter than the indenter: creases of coarse meshes hold
-a few; more are a body that the indenter does not fit."""
+MAX_HOLLOWS = 0.5
+"""Largest part of the contacts in hollows tighter than the indenter, as at the creases of a mesh:
+more are a body that the indenter does not fit."""
 HOLLOW = 0.9
 """Curvature, relative to the indenter's, that hollows tighter than it are believed to have."""
 SPOKES = 6
@@ -85,12 +85,16 @@ def _curved(body: Body, hit: Closest, size: float) -> Closest:
 
 
 def without_hollows(hit: Closest, radius: float) -> Closest:
-    """Where a few contacts are in hollows too tight for an indenter of the radius, m, those with
-    curvatures that it fits: creases of a coarse mesh have such, and no patch."""
-    tight = (hit.curvature < -HOLLOW / radius).any(axis=1)
-    if not tight.any() or np.mean(tight) > MAX_HOLLOWS:
-        return hit
-    return fitting(hit, radius)
+    """Where contacts, but not most of them, are in hollows too tight for an indenter of the radius,
+    m, those with curvatures that it fits: creases of a coarse mesh have such, and no patch."""
+    tight = in_hollows(hit, radius)
+    return fitting(hit, radius) if tight.any() and np.mean(tight) <= MAX_HOLLOWS else hit
+
+
+def in_hollows(hit: Closest, radius: float) -> np.ndarray:
+    """Whether contacts (m,) are in hollows too tight for an indenter of the radius, m; `fitting`
+    does not change it."""
+    return np.asarray((hit.curvature <= -HOLLOW / radius).any(axis=1))
 
 
 def fitting(hit: Closest, radius: float) -> Closest:

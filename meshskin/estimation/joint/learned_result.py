@@ -17,14 +17,12 @@ from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
     ALIKE_CONTACTS,
     CENSORING,
-    MISFITTING,
     MOSTLY_OUTLIERS,
     SHARED_ERRORS,
     SURFACE,
     EstimatorResult,
     LearnedResponse,
     name_rivals,
-    without,
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
@@ -116,7 +114,7 @@ def learned_result(
             SURFACE,
             *((SHARED_ERRORS.format(errors.where),) if added.any() else ()),
             *((ALIKE_CONTACTS,) if alike_points else ()),
-            *((without(len(data.misfitting), MISFITTING),) if len(data.misfitting) else ()),
+            *data.excluded,
         ),
         unknowns=_shared_values(effects, scale * shared),
         undetermined=_not_separable(effects, shared),

@@ -26,14 +26,12 @@ from ..data.measurements import Measurements
 from ..result import (
     ALIKE_CONTACTS,
     CENSORING,
-    MISFITTING,
     MOSTLY_OUTLIERS,
     SHARED_ERRORS,
     SURFACE,
     EstimatorResult,
     join_words,
     name_rivals,
-    without,
 )
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
@@ -286,13 +284,7 @@ def _factors(data: Measurements, fit: GoodnessOfFit) -> list[str]:
         factors.append(ESTIMATED_NOISE.format(data.noise, data.noise_pairs))
     if fit.good is False:
         factors.append(WIDENED.format(fit.reduced**0.5))
-    if data.left_out:
-        factors.append(without(data.left_out, "in which the contact model does not hold"))
-    if data.strays:
-        factors.append(without(data.strays, "off the believed surface"))
-    if len(data.misfitting):
-        factors.append(without(len(data.misfitting), MISFITTING))
-    return factors
+    return [*factors, *data.excluded]
 
 
 def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:

@@ -27,6 +27,9 @@ SIGMAS = 3.0
 to which nothing is refused: a sound log exceeds it with a probability below 0.3 %."""
 EXPLAINED = 0.25
 """Distance under a mistake, relative to that without, up to which it is named."""
+NEAREST, FARTHEST = 0.01, 10.0
+"""Distance of the indenter from the origin of its link, m, below and above which its unit is
+tried: to the first links of an arm a place near the origin would fit, too."""
 ZEROS = np.radians([sign * step for step in range(4, 31, 2) for sign in (1, -1)])
 """Offsets of a joint's zero that are tried, rad: those below are estimated, and beyond them a robot
 does not look like its URDF."""
@@ -81,7 +84,14 @@ def _mistakes(
     turning = np.array([k not in slides for k in range(len(names))])
     degrees = np.where(turning, np.radians(angles), angles)
     yield 'joint angles in degrees (unit = "deg" in the map)', model, degrees
-    for factor, words in ((1e-3, "mm taken for m"), (1e3, "m taken for mm")):
+    yield (
+        'joint angles in rad (unit = "rad" in the map)',
+        model,
+        np.where(turning, np.degrees(angles), angles),
+    )
+    far = float(np.linalg.norm(model.indenter))
+    scales = ((1e-3, "mm taken for m", far > FARTHEST), (1e3, "m taken for mm", far < NEAREST))
+    for factor, words in (scale[:2] for scale in scales if scale[2]):
         moved = replace(model, indenter=factor * model.indenter)
         yield f"an indenter's place in {words}", moved, angles
     for k, name in enumerate(names):

@@ -16,10 +16,10 @@ import numpy as np
 
 from ...core import se3
 from ...core.arrays import Array, means_by_group, sums_by_group
-from ..chart import tangential_square
 from ..data import delay
 from ..data.registration import CELL, MIN_SCATTER
 from ..trilateration.displacements import surface_motion
+from . import swapped_axes
 from .tilts import tilts
 
 if TYPE_CHECKING:
@@ -35,6 +35,10 @@ GROSS = 10.0
 TRIALS, RATIO = 25, 1.0
 """Standard deviations of a motion that are tried, a factor of 1.33 apart, and that of the logarithm
 of the ratio of its turn's to that of its shift."""
+SURFACE_DEPTHS = 0.1, 1.5
+"""Typical distance of the contact points from the believed surface, in depths of the indentation,
+from which it is a doubt, and a failure: recorded points lie between the undeformed surface and the
+indenter's deepest point. The doubt is a tenth of the depth, 0.2 mm for the paper's skin."""
 MAX_LEFT = 0.1
 """Mean square of the taxels' mean distances that a displacement of the contact points may leave, in
 relation to that without it, beyond scatter: more is dents of the body."""
@@ -53,25 +57,25 @@ def systematic_covariance(
     (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators; jump (3,), m: displacement of
     the contacts in a part of the recording.
     """
-    points, moved = data.points, data.points + offsets(data, unknowns)
-    hit, moved_hit = data.body.closest(points), data.body.closest(moved)
-    # readings do not show an offset along the normals: where it explains no distance, it is none
-    if np.sum(moved_hit.distance**2) < np.sum(hit.distance**2):
-        points, hit = moved, moved_hit
-    tangents, middles = rotations[:, :, :2], _middles(data)
+    points, middles = nearer_points(data, unknowns), _middles(data)
+    hit, tangents = data.body.closest(points), rotations[:, :, :2]
     sideways = motion(data, points, hit.distance, hit.normal).squares(middles)
-    tangential = np.swapaxes(tangents, 1, 2) @ sideways @ tangents
+    sideways += _late_squares(data)
+    swapped = swapped_axes.nearer_axes(data, points).displacements(middles)
+    moves = [swapped]
     if jump is not None:
-        tangential += tangential_square(tangents, np.broadcast_to(jump, middles.shape))
+        moves.append(np.broadcast_to(jump, middles.shape))
     if data.belief.surface_sigma > 0.0:
-        wider = data.belief.surface_sigma * _growth(data, middles)
-        tangential += tangential_square(tangents, wider)
-    tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
+        moves.append(data.belief.surface_sigma * _growth(data, middles))
     if data.parameters.motion is not None:
-        tangential += tangential_square(tangents, tilts(data, hit.point, hit.distance))
+        moves.append(tilts(data, hit.point, hit.distance))
+    for moved in moves:
+        sideways += moved[:, :, None] * moved[:, None, :]
+    tangential = np.swapaxes(tangents, 1, 2) @ sideways @ tangents
     into = surface_motion(shape)
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
     out[:, 2, 2] += _normal_variance(data, hit.distance) + data.belief.surface_sigma**2
+    out[:, 2, 2] += np.einsum("ni,ni->n", rotations[:, :, 2], swapped) ** 2
     return out
 
 
@@ -246,10 +250,12 @@ def _effective_variance(rest: Array, points: Array) -> float:
 def motion(data: Measurements, points: Array, distance: Array, normals: Array) -> Motion:
     """The motion of the contact points (m, 3) that displaces the taxels, too.
 
-    It is none where it does not explain the distances (m,), m, and where a body of another size,
-    scaled or offset along its normals, explains them better: its taxels are where the contacts are.
-    One with turn and scale must leave a tenth of what the simpler ones leave, and the moved points
-    must lie as near: a large one on a small part of the body fits its dents to first order only.
+    It is none where a body of another size, scaled or offset along its normals, explains the
+    distances (m,), m, better: its taxels are where the contacts are. One with turn and scale must
+    leave a tenth of what the simpler ones leave, and the moved points must lie as near: a large one
+    on a small part of the body fits its dents to first order only. Distances that none of these
+    explains are dents of the body; where they are as large as a failure of the verdict, or ask for
+    such a displacement, the points may be anywhere on the body: its extents are the covariance.
     """
     shift = displacement(distance, normals)
 
@@ -268,11 +274,25 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
     found = Motion.explaining(bounds, points, distance, normals)
     moved = data.body.closest(points - found.at(points))  # far motions are not linear
-    after = sum(left(moved.distance))
-    moves = squares[0] < min(squares[1:]) and simple <= MAX_LEFT * whole + scatter
-    if after < MAX_LEFT * simple or (moves and after <= MAX_LEFT * whole + scatter):
+    after, enough = sum(left(moved.distance)), MAX_LEFT * whole + scatter
+    moves = squares[0] < min(squares[1:]) and simple <= enough
+    if after < MAX_LEFT * simple or (moves and after <= enough):
         return found
-    return replace(Motion.none(points), shift=shift) if moves else Motion.none(points)
+    none = Motion.none(points)
+    if simple <= enough:
+        return replace(none, shift=shift) if moves else none
+    size = max(float(np.median(np.abs(distance))), float(np.linalg.norm(shift)))
+    if size > SURFACE_DEPTHS[1] * data.indentation:
+        none.covariance[:3, :3] = float(np.sum(np.ptp(bounds, axis=0) ** 2)) / 12 * np.eye(3)
+    return none
+
+
+def nearer_points(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> Array:
+    """The contact points (m, 3), m, moved by the estimated offsets where these bring them nearer to
+    the surface: readings do not show an offset along the normals, which then is none."""
+    points, moved = data.points, data.points + offsets(data, unknowns)
+    before, after = (np.sum(data.body.closest(p).distance ** 2) for p in (points, moved))
+    return moved if after < before else points
 
 
 def offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> Array:

@@ -20,7 +20,7 @@ from ..data.unit_checks import angles
 from ..joint.contact_correlations import MAX_CORRELATION
 from ..joint.departures import MIN_SCORE
 from . import second_places, swapped_axes, verdict, weighted_means
-from .contact_errors import displacement, motion, offsets
+from .contact_errors import SURFACE_DEPTHS, displacement, motion, nearer_points
 from .verdict import DOUBT, FAIL, LEVELS, PASS, PRIOR_SIGMAS, Finding, Verdict, level_of
 
 if TYPE_CHECKING:
@@ -38,6 +38,9 @@ MAX_NOISE = 0.15
 sensor: 10 % of the peak pressure is within it."""
 STRONG = 0.9
 """Quantile of the readings that stands for the strong ones."""
+NUMERICAL = 1e-5
+"""Residuals, in strong readings, below which they are errors of computing, which contacts near one
+another share: simulated without noise they are 1e-6."""
 MODULUS_FACTORS = 3.0, 10.0
 """Factor between the estimated and the nominal E* from which it is a doubt, and a failure. Nominal
 values of elastomers by Shore hardness are within a factor of 2; pressures 2 and 4 times wrong move
@@ -51,10 +54,6 @@ with the opposite sign, from which it is a doubt, and a failure: 1 in a sound lo
 mirrored axis, the cosine of the angle in a frame that is rotated about the normal."""
 MIN_TURN = 0.03
 """Spread of the surface's normals along a direction, rad, from which turns along it count."""
-SURFACE_DEPTHS = 0.1, 1.5
-"""Typical distance of the contact points from the believed surface, in depths of the indentation,
-from which it is a doubt, and a failure: recorded points lie between the undeformed surface and the
-indenter's deepest point. The doubt is a tenth of the depth, 0.2 mm for the paper's skin."""
 MAX_FAULTY = 0.2
 """Fraction of faulty taxels from which the log is in doubt, not the taxels."""
 MIN_DISPLACEMENT = 0.02
@@ -80,7 +79,7 @@ def judge(
         lambda: _priors(data, calibration),
         lambda: _surface(data, calibration),
         lambda: _normals(recording, data),
-        lambda: swapped_axes.findings(recording, data, calibration),
+        lambda: swapped_axes.findings(recording, data, nearer_points(data, calibration.unknowns)),
         lambda: weighted_means.findings(data, calibration),
         lambda: second_places.findings(gathered, calibration),
         lambda: verdict.forces(recording, calibration),
@@ -125,6 +124,10 @@ def _departures(
     data: Measurements, calibration: Calibration, departures: Mapping[str, float]
 ) -> list[Finding]:
     """Departures from the model that the readings show and the estimate does not hold."""
+    fit = calibration.fit
+    least = NUMERICAL * float(np.quantile(data.pressure, STRONG))
+    if fit is not None and fit.noise * fit.reduced**0.5 < least:
+        return []
     shown = [
         f"{name} (score {score:.3g})" for name, score in departures.items() if score > MIN_SCORE
     ]
@@ -211,14 +214,11 @@ def _surface(data: Measurements, calibration: Calibration) -> list[Finding]:
 
     They are those that an estimated offset of body or indenter leaves.
     """
-    hit = data.body.closest(data.points)
-    there = data.body.closest(data.points + offsets(data, calibration.unknowns))
-    if np.sum(there.distance**2) < np.sum(hit.distance**2):
-        hit = there
+    hit = data.body.closest(nearer_points(data, calibration.unknowns))
     distance, median = hit.distance, float(np.median(hit.distance))
     typical, move = float(np.median(np.abs(distance))), displacement(distance, hit.normal)
     best = motion(data, hit.point + distance[:, None] * hit.normal, distance, hit.normal)
-    depth = float(np.median(data.radii**2 * (data.curvature.mean(axis=1) + 1 / _radius(data))))
+    depth = data.indentation
     moved = float(np.sqrt(np.mean(np.trace(best.squares(data.points), axis1=1, axis2=2))))
     size = max(typical, float(np.linalg.norm(move)), moved)
     level = level_of(size / depth, SURFACE_DEPTHS)
@@ -278,10 +278,6 @@ def _least_turn(surface: Array, normals: Array) -> tuple[float, Array]:
     slope = np.linalg.lstsq(across, found, rcond=None)[0]
     least, directions = np.linalg.eigh((slope + slope.T) / 2)
     return float(least[0]), basis @ directions[:, 0]
-
-
-def _radius(data: Measurements) -> float:
-    return float(data.belief.indenter.radius)
 
 
 def _faults(calibration: Calibration) -> list[Finding]:

@@ -6,6 +6,7 @@ fit: the map is mirrored, too. The contacts on what is not symmetric show it, al
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import permutations, product
 from typing import TYPE_CHECKING
 
@@ -14,12 +15,10 @@ import numpy as np
 from ...core.arrays import Array
 from ...recording.recording import JOINT_ANGLES
 from . import verdict
-from .contact_errors import offsets
-from .verdict import PASS, Finding, level_of
+from .verdict import FAIL, PASS, Finding, level_of
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording
-    from ..calibration import Calibration
     from ..data.measurements import Measurements
 
 POINTS = 300
@@ -32,31 +31,55 @@ BETTER = 1.5, 4.0
 a failure. On a body that is symmetric but for its mesh's errors, both differ by less."""
 
 
-def findings(recording: Recording, data: Measurements, calibration: Calibration) -> list[Finding]:
-    """What the distances of contact points from the believed surface say of their axes."""
-    computed = recording.metadata.get("source") == JOINT_ANGLES  # the points are the surface's
-    if computed or len(data.points) < verdict.MIN_CONTACTS:
-        return []
-    rows = np.linspace(0, len(data.points) - 1, min(POINTS, len(data.points))).astype(int)
-    points = data.points[rows]
-    moved = points + offsets(data, calibration.unknowns)[rows]
-    recorded = min(_mean_square(data, points), _mean_square(data, moved))
-    depth = float(np.median(data.radii**2 * data.relative_curvature))
-    if recorded <= (SMALL * depth) ** 2:
-        return []
+@dataclass(frozen=True)
+class NearerAxes:
+    """Other axes with which the contact points lie nearer to the believed surface."""
+
+    axes: Array
+    """Signed permutation (3, 3)."""
+    recorded: float
+    """Mean squared distance, m^2, of the points from the surface as recorded."""
+    nearest: float
+    """That with the other axes."""
+
+    @property
+    def level(self) -> str:
+        """What the ratio of both means for the verdict."""
+        return level_of(self.recorded / max(self.nearest, 1e-300), BETTER)
+
+    def displacements(self, points: Array) -> Array:
+        """Displacements (n, 3) of points (n, 3), m, by axes that are a failure; else zeros."""
+        return points - points @ self.axes.T if self.level == FAIL else np.zeros_like(points)
+
+
+def nearer_axes(data: Measurements, points: Array) -> NearerAxes:
+    """The axes with which contact points (m, 3), m, are nearest to the believed surface; their own
+    where they lie on it."""
+    rows = np.linspace(0, len(points) - 1, min(POINTS, len(points))).astype(int)
+    points, recorded = points[rows], _mean_square(data, points[rows])
+    if len(points) < verdict.MIN_CONTACTS or recorded <= (SMALL * data.indentation) ** 2:
+        return NearerAxes(np.eye(3), recorded, recorded)
     axes = signed_permutations()
     squares = np.array([_mean_square(data, points @ turned.T) for turned in axes])
     best = int(np.argmin(squares))
-    level = level_of(recorded / max(float(squares[best]), 1e-300), BETTER)
-    if level == PASS:
+    return NearerAxes(axes[best], recorded, float(squares[best]))
+
+
+def findings(recording: Recording, data: Measurements, points: Array) -> list[Finding]:
+    """What the distances of contact points (m, 3), m, from the believed surface say of their
+    axes."""
+    if recording.metadata.get("source") == JOINT_ANGLES:  # the points are the surface's
+        return []
+    found = nearer_axes(data, points)
+    if found.level == PASS:
         return []
     words = (
-        f"contact points lie {1e3 * recorded**0.5:.3g} mm off the believed surface (rms), and "
-        f"{1e3 * squares[best] ** 0.5:.3g} mm with their axes as {_name(axes[best])} (limit: "
+        f"contact points lie {1e3 * found.recorded**0.5:.3g} mm off the believed surface (rms), "
+        f"and {1e3 * found.nearest**0.5:.3g} mm with their axes as {_name(found.axes)} (limit: "
         f"{BETTER[0] ** 0.5:.2g} times as near): check the signs and the order of the axes of "
         "contacts and body"
     )
-    return [(level, words)]
+    return [(found.level, words)]
 
 
 def signed_permutations() -> Array:

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import meshskin as ms
-from meshskin.estimation.data.patch_shape import over_patches, without_hollows
+from meshskin.estimation.data.patch_shape import in_hollows, over_patches, without_hollows
 
 RADIUS = 0.01
 
@@ -72,17 +72,19 @@ def test_contacts_without_force_stay_as_they_are():
     assert over_patches(belief(body), hit, np.zeros(3)) is hit
 
 
-def test_a_few_tight_hollows_get_a_curvature_that_the_indenter_fits():
-    """As the creases of a coarse mesh have; more than a few are a body it does not fit."""
+def test_tight_hollows_get_a_curvature_that_the_indenter_fits():
+    """As the creases of a coarse mesh have; most contacts in such are a body it does not fit."""
     body = ms.Body.torus(0.1, 0.04)
     hit = body.closest(body.mesh.vertices[:500])
     assert without_hollows(hit, RADIUS) is hit
+    assert not in_hollows(hit, RADIUS).any()
     tight = hit.curvature.copy()
-    some = len(tight) // 50
+    some = len(tight) // 5
     tight[:some, 1] = -8548.0
     few = without_hollows(replace(hit, curvature=tight), RADIUS)
     np.testing.assert_allclose(few.curvature[:some, 1], -0.9 / RADIUS)
     np.testing.assert_array_equal(few.curvature[some:], hit.curvature[some:])
-    tight[: 5 * some, 1] = -8548.0
+    np.testing.assert_array_equal(in_hollows(few, RADIUS), np.arange(len(tight)) < some)
+    tight[: 3 * some, 1] = -8548.0
     many = replace(hit, curvature=tight)
     assert without_hollows(many, RADIUS) is many

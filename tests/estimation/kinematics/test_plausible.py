@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
+from meshskin import Body, Robot
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.kinematics.calibrate_log import calibrate_log
 from meshskin.estimation.kinematics.plausible import check_on_body
 from meshskin.recording.log_contacts import contact_frames, joint_path
 
-from .simulated_log import explore
+from .simulated_log import PUMA, explore
 from .test_calibrate_log import KNOWN, belief
 
 
@@ -51,6 +53,29 @@ def test_an_indenter_in_mm_is_named(exploration):
     known = exploration.kinematics(**KNOWN)
     known = replace(known, indenter=1e3 * known.indenter)
     with pytest.raises(CalibrationError, match="indenter's place in mm taken for m may"):
+        calibrate_log(exploration.log, known, belief(exploration))
+
+
+def test_a_wrong_link_near_the_origin_is_not_a_unit(exploration):
+    """Near the axes that all links share, an indenter a thousand times nearer would fit."""
+    known = exploration.kinematics(**KNOWN)
+    robot = Robot.from_urdf(PUMA)
+    first = robot.contact_kinematics("link1", known.indenter, unknown=KNOWN)
+    log = exploration.log
+    time = log.time[contact_frames(log)]
+    path = joint_path(log, first.chain.joint_names)
+    origin = replace(first, indenter=np.zeros(3)).centres(path, time, np.zeros(len(first.labels)))
+    ball = trimesh.creation.icosphere(3, radius=0.05)
+    ball.apply_translation(np.add(np.median(origin[0], axis=0), [0.0, 0.0, 0.1]))
+    where = path, time, Body.from_mesh(ball), 0.05
+    with pytest.raises(CalibrationError, match="check the body's link and mount"):
+        check_on_body(first, *where, named=False)
+
+
+def test_an_indenter_in_m_is_named(exploration):
+    known = exploration.kinematics(**KNOWN)
+    known = replace(known, indenter=1e-3 * known.indenter)
+    with pytest.raises(CalibrationError, match="indenter's place in m taken for mm may"):
         calibrate_log(exploration.log, known, belief(exploration))
 
 

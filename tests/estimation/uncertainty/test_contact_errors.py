@@ -313,6 +313,27 @@ def test_turns_about_the_middle_of_an_egg_are_counted():
     assert 0.8 < np.sqrt(np.mean(stated) / np.mean(true)) < 1.25
 
 
+def test_contact_points_of_another_place_of_the_body_may_be_anywhere_on_it():
+    """Slid by 15 mm along a tube whose radius varies, which leaves most of a millimetre."""
+    mesh = trimesh.creation.cylinder(radius=0.03, height=0.2, sections=90)
+    mesh = mesh.subdivide_to_size(4e-3)
+    grown = 1 + 0.02 * np.sin(mesh.vertices[:, 2] / 5e-3)
+    mesh.vertices *= np.column_stack([grown, grown, np.ones(len(grown))])
+    body = ms.Body.from_mesh(mesh)
+    angle, z = np.meshgrid(np.linspace(0, 1.5, 20), np.linspace(-0.03, 0.03, 20))
+    around = np.column_stack([np.cos(angle.ravel()), np.sin(angle.ravel()), 0 * z.ravel()])
+    points = body.closest(0.03 * around + [0, 0, 1] * z.reshape(-1, 1)).point
+    data = SimpleNamespace(
+        pressure=np.ones(400), ids=np.arange(40), taxel=np.arange(400) // 10,
+        contact=np.arange(400), body=body, indentation=0.2e-3,
+    )  # fmt: skip
+    for slid, least, most in ((0.0, 0.0, 1e-5), (0.015, 0.05, 0.2)):
+        there = points + np.array([0.0, 0.0, slid])
+        hit = body.closest(there)
+        squares = contact_errors.motion(data, there, hit.distance, hit.normal).squares(points)
+        assert least <= np.sqrt(np.einsum("nii->n", squares).mean()) <= most
+
+
 def test_dents_under_a_small_skin_are_no_far_motion_of_the_body():
     """A slide by 40 mm along the body explains them to first order, and does not explain them."""
     base, rng = ms.Scene.load("sphere_noisy"), np.random.default_rng(2)

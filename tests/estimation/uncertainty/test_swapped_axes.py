@@ -56,6 +56,21 @@ def test_mirrored_contact_points_are_named_without_normals(bumpy, signs, level, 
     assert words in " ".join(found.verdict.reasons)
 
 
+def test_mirrored_taxels_are_within_their_standard_deviations(noisy):
+    """A ball whose middle is 1.5 mm off the plane of the mirror: 3 mm explain the distances."""
+    ball = trimesh.creation.icosphere(4, radius=0.05)
+    ball.vertices += [0.0, 1.5e-3, 0.0]
+    body = ms.Body.from_mesh(ball)
+    skin = ms.Skin.cover(body, spacing=6e-3, count=20, seed=1, region=Cap(direction=(0, 1, 0)))
+    scene = noisy.with_(body=body, skin=skin, loop=replace(noisy.loop, mode="quasi_static"))
+    found = ms.calibrate(log(scene, np.array([1.0, -1.0, 1.0])), scene.belief())
+    error = np.linalg.norm(found.positions - skin.positions, axis=1)
+    assert found.verdict.level == "FAIL"
+    assert np.nanmin(error) > 0.08
+    assert np.nanmin(found.position_sigma / error) > 0.5
+    assert np.nanmax(found.position_sigma / error) < 2.0
+
+
 def test_each_order_and_sign_of_the_axes_is_tried_once():
     axes = signed_permutations()
     assert len({tuple(one.ravel()) for one in axes}) == 47

@@ -1,0 +1,78 @@
+"""A Panda and an iCub from the bag of a simulated robot alone: clocks, joints, forces and taxels.
+
+The URDF files are those of the wheel `example-robot-data` (the extra `robots`).
+"""
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.estimation.kinematics.calibrate_log import calibrate_log
+from meshskin.estimation.uncertainty.metrics import position_errors
+from meshskin.recording.log_map import LogMap, StreamMap
+from meshskin.recording.readers import read_log
+from meshskin.recording.resample import log_frames
+
+from ...recording import robot_log
+from ...robot.test_real_arms import urdf
+from .stroking_robot import CLOCK, RADIUS, YOUNG, StrokingRobot
+
+ROBOTS = {
+    "panda.urdf": ("panda_link5", (0.5, -1.9, 0.3, 0.4, 0.2), (0.0, 0.123, -0.029)),
+    "icub.urdf": ("l_forearm", (0.2, 0.9, 0.3, 0.5, -0.5, 0.1, 0.1, 0.1), (-0.057, 0.0, 0.064)),
+}
+"""Link with the skin, angles from there to the root, rad, and a point on the skin, m."""
+FORCE_MAP = StreamMap("/wrench", "wrench", axis=(0, 0, 1))
+
+
+def standing(name, seed):
+    """The robot over an indenter that touches its skin in the middle of its postures."""
+    link, posture, about = ROBOTS[name]
+    robot = ms.Robot.from_urdf(urdf(name))
+    hit = robot.body(link, open=True).closest(np.array([about]))
+    touching = np.append(hit.point[0] + RADIUS * hit.normal[0], 1.0)
+    chain = robot.contact_kinematics(link, np.zeros(3)).chain
+    place = np.linalg.solve(chain.poses(np.array([posture]))[0], touching)[:3]
+    return StrokingRobot(robot, link, tuple(place), posture, tuple(hit.point[0]), seed=seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_bag_with_forces_alone(tmp_path, monkeypatch, name):
+    world = standing(name, 1)
+    monkeypatch.setattr(robot_log, "JOINTS", world.chain.joint_names)
+    robot_log.write_mcap(tmp_path / "log.mcap", world.streams(force=True))
+    count = len(world.scene.skin)
+    skin = StreamMap("/skin", "taxels", length=count)
+    log_map = LogMap((StreamMap("/joint_states", "joints"), skin, FORCE_MAP))
+    log = log_frames(read_log(tmp_path / "log.mcap", log_map), log_map).skin_log
+    true_force = np.interp(log.time - robot_log.EPOCH, world.motion[0], world.motion[3])
+    late = log.clock_offset
+    assert np.abs(np.median((log.force - true_force)[true_force > 2.5])) < 0.02
+    unknown = {
+        "joint_offset": np.radians(1.0),
+        "joint_delay": 0.02,
+        "indenter_position": 2e-3,
+        "clock_offset": 0.05,
+    }
+    kinematics = world.robot.contact_kinematics(world.link, world.place, unknown=unknown)
+    belief = ms.Belief(
+        body=world.scene.body, indenter=ms.Indenter.sphere(RADIUS),
+        material=ms.Material(young=YOUNG), taxel_ids=log.taxel_ids, readings="raw",
+    )  # fmt: skip
+    found = calibrate_log(log, kinematics, belief)
+    assert found.calibration.verdict.level == "PASS"
+    value, sigma = found.unknowns["clock_offset"]
+    assert abs(value + late - CLOCK) < 2e-3
+    assert abs(value + late - CLOCK) < 4 * sigma
+    offsets = zip(found.joint_offsets.items(), world.offsets, strict=True)
+    told = 0
+    for (joint, (value, sigma)), truth in offsets:
+        assert abs(value - truth) < 4 * sigma, joint
+        if sigma < np.radians(0.05):  # the first joint turns arm and indenter alike
+            told += 1
+            assert abs(value - truth) < np.radians(0.1), joint
+    assert told == len(world.offsets) - 1
+    errors = position_errors(found.calibration, world.scene.skin)
+    assert np.isfinite(errors).sum() >= 0.85 * count
+    assert np.sqrt(np.nanmean(errors**2)) < 8e-5
