@@ -84,7 +84,9 @@ def learned_result(
     fields = contact_fields(fitted)
     departures = {**errors.beyond(added, own), **fields.departure}
     tangential = larger(scale * covariance[:, :2, :2], own + added)
-    tangential = larger(tangential, own + fields.covariances)
+    alike_points = fit.good is not False and bool(fields.covariances.any())
+    if alike_points:  # a misfit would pass for displacements of any size
+        tangential = larger(tangential, own + fields.covariances)
     tangential *= _few_readings(effects)[:, None, None]
     tangential += _leaks(effects) + tangential_square(rotations[:, :, :2], apart)
     lost, reasons = estimator.broken, reasons.copy()
@@ -111,7 +113,7 @@ def learned_result(
             *((CENSORING,) if (effects.selected[0].kind == CENSORED).any() else ()),
             SURFACE,
             *((SHARED_ERRORS.format(errors.where),) if added.any() else ()),
-            *((ALIKE_CONTACTS,) if fields.covariances.any() else ()),
+            *((ALIKE_CONTACTS,) if alike_points else ()),
             *data.excluded,
         ),
         unknowns=_shared_values(effects, scale * shared),

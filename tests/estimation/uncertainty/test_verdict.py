@@ -295,3 +295,10 @@ def test_a_profile_that_rises_beyond_its_band_is_a_doubt(bump, sigma, threshold,
     found = verdict.profile(data, SimpleNamespace(response=response))
     assert [level for level, _ in found] == ["DOUBT"] * named
     assert all("to 4 mm" in words for _, words in found)
+
+
+def test_errors_of_computing_are_no_doubt():
+    """Without noise what is left is of the integration, which contacts near one another share."""
+    scene = ms.Scene.load("sphere")
+    found = ms.calibrate(ms.simulate(scene), scene.belief())
+    assert found.verdict.level == "PASS", found.verdict.reasons
