@@ -197,6 +197,8 @@ class Estimation:
 
     def _contradicted(self, found: EstimatorResult) -> bool:
         """Whether the readings contradict the contact model."""
+        if found.fit is not None and found.fit.of_computing(self.data.pressure):
+            return False
         misfits = found.fit is not None and found.fit.good is False
         return misfits or max(found.departures.values(), default=0.0) > MIN_SCORE
 

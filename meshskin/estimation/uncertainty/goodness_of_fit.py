@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from ...core.arrays import Array
+
 SIGNIFICANCE = 1e-3
 """Probability below which the model is said not to fit: one false alarm in 1000 calibrations."""
 
 MIN_PAIRS = 30
 """Fewest pairs of neighbouring contacts that estimate the noise: to 13 %."""
+STRONG = 0.9
+"""Quantile of the readings that stands for the strong ones."""
+NUMERICAL = 1e-5
+"""Residuals, in strong readings, below which they are errors of computing: simulated without noise
+they are 1e-6."""
 REMEDY = (
     "declare what may be unknown (modulus, gain, force, indenter), believe another contact model "
     "(elliptic, layered)"
@@ -44,6 +53,11 @@ class GoodnessOfFit:
     def good(self) -> bool | None:
         """Whether the model fits; None where it was not tested."""
         return None if self.p != self.p else self.p >= SIGNIFICANCE
+
+    def of_computing(self, pressure: Array) -> bool:
+        """Whether the residuals of readings `pressure` (k,), Pa, are errors of computing: these are
+        alike in neighbouring contacts, and contradict no model."""
+        return self.noise * self.reduced**0.5 < NUMERICAL * float(np.quantile(pressure, STRONG))
 
 
 def goodness_of_fit(

@@ -21,6 +21,7 @@ from ..joint.contact_correlations import MAX_CORRELATION
 from ..joint.departures import MIN_SCORE
 from . import second_places, swapped_axes, verdict, weighted_means
 from .contact_errors import SURFACE_DEPTHS, displacement, motion, nearer_points
+from .goodness_of_fit import STRONG
 from .verdict import DOUBT, FAIL, LEVELS, PASS, PRIOR_SIGMAS, Finding, Verdict, level_of
 
 if TYPE_CHECKING:
@@ -36,11 +37,6 @@ MAX_OVERSTATED = 3.0
 MAX_NOISE = 0.15
 """Estimated noise, relative to the median taxel's largest reading, from which it is none of a
 sensor: 10 % of the peak pressure is within it."""
-STRONG = 0.9
-"""Quantile of the readings that stands for the strong ones."""
-NUMERICAL = 1e-5
-"""Residuals, in strong readings, below which they are errors of computing, which contacts near one
-another share: simulated without noise they are 1e-6."""
 MODULUS_FACTORS = 3.0, 10.0
 """Factor between the estimated and the nominal E* from which it is a doubt, and a failure. Nominal
 values of elastomers by Shore hardness are within a factor of 2; pressures 2 and 4 times wrong move
@@ -124,9 +120,7 @@ def _departures(
     data: Measurements, calibration: Calibration, departures: Mapping[str, float]
 ) -> list[Finding]:
     """Departures from the model that the readings show and the estimate does not hold."""
-    fit = calibration.fit
-    least = NUMERICAL * float(np.quantile(data.pressure, STRONG))
-    if fit is not None and fit.noise * fit.reduced**0.5 < least:
+    if calibration.fit is not None and calibration.fit.of_computing(data.pressure):
         return []
     shown = [
         f"{name} (score {score:.3g})" for name, score in departures.items() if score > MIN_SCORE
