@@ -186,8 +186,11 @@ def _result(
     data, problem, state = estimator.data, estimator.problem, estimator.state
     problem.contacts.check(state.s)
     parameters, parametrization = data.parameters, problem.parametrization
+    reduced = problem.reduce(state)
+    scale, fit = _scale_and_fit(estimator, reduced)
     fitted, jump, errors, fields = None, Jump(), None, None
-    if isinstance(parametrization, SurfaceParametrization):
+    tested = not fit.of_computing(data.pressure)  # else they are alike in neighbouring contacts
+    if tested and isinstance(parametrization, SurfaceParametrization):
         fitted = fitted_readings(estimator, estimator.likelihood.readings.weight)
         jump, errors = jump_of(estimator, fitted), shared_errors(fitted)
         fields = contact_fields(fitted)
@@ -199,13 +202,11 @@ def _result(
         infinite = np.diag([np.inf] * covariance.shape[1])
         return spread(np.where(lost[:, None, None], infinite, covariance), infinite)
 
-    reduced = problem.reduce(state)
     covariance, global_covariance = problem.covariances(state, reduced)
     lost, reasons = estimator.unconverged | estimator.broken, reasons.copy()
     reasons[estimator.live] = ""
     reasons[estimator.live[estimator.broken]] = MOSTLY_OUTLIERS
     reasons[estimator.live[estimator.unconverged]] = UNCONVERGED
-    scale, fit = _scale_and_fit(estimator, reduced)
     unit = 1.0 if data.noise is not None and not data.noise_pairs else scale
     information, gains = problem.information(state)
     pose_covariances: Array | None = None
