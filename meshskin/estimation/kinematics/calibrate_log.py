@@ -121,12 +121,12 @@ def _estimated(
     """The calibration with the contacts at x (K + 1,), their recording, the unknowns (K,) that it
     finds, and the median displacement, m, of the contacts from where the linear table put them."""
     kinematics, path, time, s = heights.model, heights.path, heights.time, x[:-1]
-    told = heights.linearized(x)
+    linear = heights.linearized(x)
     centres, slopes = kinematics.centres(path, time, s)
-    u = np.linalg.pinv(told.root) @ (s - told.mean)
-    motion = ContactMotion(kinematics.labels, kinematics.sigma, slopes, told.mean, told.root, u)
+    u = np.linalg.pinv(linear.root) @ (s - linear.mean)
+    motion = ContactMotion(kinematics.labels, kinematics.sigma, slopes, linear.mean, linear.root, u)
     _, points, normals = surface_heights(kinematics, belief.body, centres, s)
-    off = points + told.residuals[:, None] * normals
+    off = points + linear.residuals[:, None] * normals
     frames, force = np.arange(len(log.time)), _forces(log, reference)
     recording = recording_of(log, frames, off, normals, force, belief.readings)
     found = calibrate(recording, _corrected(belief, kinematics, s, motion), progress=progress)
