@@ -35,6 +35,7 @@ from .estimation.comparison import METHODS, Comparison, compare_methods, worse_t
 from .estimation.demonstration import Demonstration, demonstrate
 from .estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from .estimation.uncertainty import metrics as truth
+from .exploration.plan import plan_exploration
 from .recording.recording import Recording
 from .scene.scene import Scene
 from .simulation.response import ForceResponse, describe_departure, force_response
@@ -83,87 +84,92 @@ def run(
     StudyError for a time that even the pilot run does not fit in, where it can before that run, and
     other MeshskinErrors that name the value, the limit and the remedy.
     """
-    from .report.data import ReportData
-    from .report.page import draw
-    from .study.sensitivity.budget import budget as apply_budget
-    from .study.sensitivity.choice import choose
-    from .study.sensitivity.first_run import least_seconds
-
     check_integer("seed", seed, least=0)
-    asked = math.inf if request is None or request.seconds is None else request.seconds
-    deadline = Deadline(asked) if began is None else Deadline(asked, began)
-    job = _Job(Path(folder), seed, deadline, progress, StageTimer())
-    check_run_seconds(asked, deadline.least(LEAST_SECONDS - IMPORT_SECONDS))
-    with job.timer.stage("load"):
-        Stage(progress, "plan")  # goes on, and ends, in `simulate`
-        scene = Scene.load(name)
-        if budget is not None:
-            scene = scene.with_(budget=budget)
-        check_folder(job.folder)
-        if math.isfinite(asked) and scene.indenter.carried_by is None:
-            check_run_seconds(asked, deadline.least(least_seconds(scene)))
-    decided = None
-    if scene.budget is not None:
-        with job.timer.stage("budget"):
-            decided = apply_budget(scene, seed=seed, progress=deadline.hook(progress))
-            scene = decided.scene
-    choice = None
-    if request is not None:
-        with job.timer.stage("pilot"):
-            choice = choose(scene, request, METHODS, seed, deadline, progress)
-    done, choice = _calibrated(job, scene, choice, decided)
-    scene, recording, calibration = done.scene, done.estimation.recording, done.calibration
-    calibration.save(job.folder / "calibration")
+    seconds = math.inf if request is None or request.seconds is None else request.seconds
+    deadline = Deadline(seconds) if began is None else Deadline(seconds, began)
+    job = _Job(name, Path(folder), seed, deadline, progress, StageTimer())
+    plan = _planned(job, _loaded(job, budget), request)
+    done, choice = _calibrated(job, plan)
+    done.calibration.save(job.folder / "calibration")
     if watch is not None:
         watched = Stage(progress, "live")
-        watch(scene, recording, calibration)
+        watch(done.scene, done.estimation.recording, done.calibration)
         watched.end()
     comparison, demonstration = _compared(job, done, choice)
     with job.timer.stage("metrics"):
-        force = _force(recording, scene)
-        metrics = _assess(scene, done.estimation, calibration, force, demonstration)
-        metrics |= comparison.errors(scene.skin)
-        metrics["worse_than_centroid"] = worse_than_centroid(metrics)
-        if decided is not None:
-            mean = metrics["position_error_mm"]["mean"]
-            metrics["budget"] = decided.metrics() | {"above": decided.explain(1e-3 * mean)}
-        metrics["left_out"] = list(comparison.left_out)
-        if choice is not None:
-            metrics["promise"] = choice.record
-        own = Path(name).suffix == ".toml"
-        metrics["inputs"] = {"scene": str(Path(name).resolve() if own else name), "seed": seed}
-    with job.timer.stage("report"):
-        facts = provenance(scene=scene.name, seed=seed)
-        data = ReportData(
-            calibration, recording, scene.skin, comparison.found, demonstration, metrics,
-            job.timer.seconds, facts, scene.body,
-        )  # fmt: skip
-        hook = deadline.hook(progress, FIGURE_SECONDS)
-        metrics["figures_left_out"] = draw(job.folder / "report.html", data, hook)[1]
+        force = _force(done.estimation.recording, done.scene)
+        metrics = _assess(done, force, demonstration) | comparison.errors(done.scene.skin)
+        metrics |= _account(job, metrics, plan.budget, comparison, choice)
+    result = Result(
+        done.scene, done.estimation.recording, done.calibration, comparison.found, demonstration,
+        force, metrics, plan.budget,
+    )  # fmt: skip
+    _report(job, result)
     if choice is not None:
-        seconds, processor = deadline.spent
-        choice.record["came_to"] = {
-            "error_mm": metrics["position_error_mm"]["mean"],
-            "seconds": seconds,
-            "processor_seconds": processor,
-        }
+        choice.record["came_to"] = _came_to(deadline, metrics)
     metrics["seconds"] = {k: round(v, 4) for k, v in job.timer.seconds.items()}
     write_json(job.folder / "metrics.json", metrics)
-    return Result(
-        scene, recording, calibration, comparison.found, demonstration, force, metrics, decided
-    )
+    return result
 
 
 @dataclass(frozen=True)
 class _Job:
     """What all stages of a run share."""
 
+    name: str | Path
+    """The shipped scene or TOML file."""
     folder: Path
     """Where the results go."""
     seed: int
     deadline: Deadline
     progress: Progress | None
     timer: StageTimer
+
+
+@dataclass(frozen=True)
+class _Planned:
+    """The scene that is run, and the decisions that it follows from."""
+
+    scene: Scene
+    budget: BudgetReport | None
+    choice: Choice | None
+    """The settings that a request chose; None without one."""
+
+
+def _loaded(job: _Job, budget: float | None) -> Scene:
+    """The scene, with a budget, m, in place of its own unless None; the folder exists.
+
+    Raises StudyError where its run takes longer than the deadline.
+    """
+    from .study.sensitivity.first_run import least_seconds
+
+    seconds, deadline = job.deadline.seconds, job.deadline
+    check_run_seconds(seconds, deadline.least(LEAST_SECONDS - IMPORT_SECONDS))
+    with job.timer.stage("load"):
+        Stage(job.progress, "plan")  # goes on, and ends, in `simulate`
+        scene = Scene.load(job.name)
+        if budget is not None:
+            scene = scene.with_(budget=budget)
+        check_folder(job.folder)
+        if math.isfinite(seconds) and scene.indenter.carried_by is None:
+            check_run_seconds(seconds, deadline.least(least_seconds(scene)))
+    return scene
+
+
+def _planned(job: _Job, scene: Scene, request: Request | None) -> _Planned:
+    """The scene with the effects that its budget needs, and the settings that meet a request."""
+    from .study.sensitivity.budget import budget
+    from .study.sensitivity.choice import choose
+
+    decided = choice = None
+    if scene.budget is not None:
+        with job.timer.stage("budget"):
+            decided = budget(scene, seed=job.seed, progress=job.deadline.hook(job.progress))
+            scene = decided.scene
+    if request is not None:
+        with job.timer.stage("pilot"):
+            choice = choose(scene, request, METHODS, job.seed, job.deadline, job.progress)
+    return _Planned(scene, decided, choice)
 
 
 @dataclass(frozen=True)
@@ -175,14 +181,12 @@ class _Calibrated:
     calibration: Calibration
 
 
-def _calibrated(
-    job: _Job, scene: Scene, choice: Choice | None, decided: BudgetReport | None
-) -> tuple[_Calibrated | FirstRun, Choice | None]:
-    """The run of the scene, or of the one that was chosen; with the choice, the first run in place
-    of one that does not fit."""
+def _calibrated(job: _Job, plan: _Planned) -> tuple[_Calibrated | FirstRun, Choice | None]:
+    """The run of the plan, or the pilot's where that does not fit; with what was chosen."""
+    choice = plan.choice
     if choice is None or choice.measured is not None:
         with suppress(OutOfTime):
-            return _simulated(job, scene, choice, decided), choice
+            return _simulated(job, plan), choice
     assert choice is not None  # without a request there is no deadline
     choice = choice.without_finer("the chosen run did not fit")
     choice.first.recording.save(job.folder / "recording")
@@ -190,31 +194,28 @@ def _calibrated(
     return choice.first, choice
 
 
-def _simulated(
-    job: _Job, scene: Scene, choice: Choice | None, decided: BudgetReport | None
-) -> _Calibrated:
-    """The scene, or the one that was chosen, simulated into the folder and calibrated.
+def _simulated(job: _Job, plan: _Planned) -> _Calibrated:
+    """The plan's scene simulated into the folder, and calibrated.
 
     Raises OutOfTime where no time would be left for the report.
     """
-    from .exploration.plan import plan_exploration
-
-    path, tolerance, later = None, NEWTON_TOLERANCE, REPORT_SECONDS
+    scene, choice, path = plan.scene, plan.choice, None
+    tolerance, later = NEWTON_TOLERANCE, REPORT_SECONDS
     if choice is not None:
         scene, path, tolerance = choice.scene, choice.path, choice.tolerance
         later += choice.seconds("joint")
     with job.timer.stage("simulate"):
         if scene.indenter.carried_by is not None:
-            plan = plan_exploration(scene)
-            plan.save_contacts(job.folder / "contacts.csv")
-            path = plan.path
+            contacts = plan_exploration(scene)
+            contacts.save_contacts(job.folder / "contacts.csv")
+            path = contacts.path
         hook = job.deadline.hook(job.progress, later)
         out = job.folder / "recording"
         recording = simulate(scene, job.seed, path=path, out=out, progress=hook)
     remove_results(job.folder)
     with job.timer.stage("calibrate"):
-        belief = scene.belief() if decided is None else decided.belief
-        tolerance = tolerance if decided is None else decided.tolerance
+        belief = scene.belief() if plan.budget is None else plan.budget.belief
+        tolerance = tolerance if plan.budget is None else plan.budget.tolerance
         estimation = Estimation(recording, belief)
         hook = job.deadline.hook(job.progress, REPORT_SECONDS)
         calibration = estimation.calibrate(tolerance=tolerance, progress=hook)
@@ -252,14 +253,11 @@ def _force(recording: Recording, scene: Scene) -> ForceResponse:
 
 
 def _assess(
-    scene: Scene,
-    estimation: Estimation,
-    calibration: Calibration,
-    force: ForceResponse,
-    demonstration: Demonstration | None,
+    done: _Calibrated | FirstRun, force: ForceResponse, demonstration: Demonstration | None
 ) -> dict[str, Any]:
     """The metrics of the joint estimate against the truth, and of the force."""
-    recording, belief = estimation.recording, estimation.belief
+    scene, calibration = done.scene, done.calibration
+    recording, belief = done.estimation.recording, done.estimation.belief
     motion, skin = recording.motion, scene.skin
     located = np.isfinite(calibration.positions).all(axis=1)
     return {
@@ -282,6 +280,49 @@ def _assess(
         "steps": motion.num_rows if motion else 0,
         "steps_per_second": recording.metadata.get("steps_per_second"),
     }
+
+
+def _account(
+    job: _Job,
+    metrics: dict[str, Any],
+    budget: BudgetReport | None,
+    comparison: Comparison,
+    choice: Choice | None,
+) -> dict[str, Any]:
+    """The metrics of what was decided, predicted and left out, and of the inputs."""
+    more: dict[str, Any] = {"worse_than_centroid": worse_than_centroid(metrics)}
+    if budget is not None:
+        mean = metrics["position_error_mm"]["mean"]
+        more["budget"] = budget.metrics() | {"above": budget.explain(1e-3 * mean)}
+    more["left_out"] = list(comparison.left_out)
+    if choice is not None:
+        more["promise"] = choice.record
+    own = Path(job.name).suffix == ".toml"
+    scene = str(Path(job.name).resolve() if own else job.name)
+    return more | {"inputs": {"scene": scene, "seed": job.seed}}
+
+
+def _report(job: _Job, result: Result) -> None:
+    """Draw the report into the folder; the metrics say which figures no time is left for."""
+    from .report.data import ReportData
+    from .report.page import draw
+
+    scene, metrics = result.scene, result.metrics
+    with job.timer.stage("report"):
+        data = ReportData(
+            result.calibration, result.recording, scene.skin, result.comparisons,
+            result.demonstration, metrics, job.timer.seconds,
+            provenance(scene=scene.name, seed=job.seed), scene.body,
+        )  # fmt: skip
+        hook = job.deadline.hook(job.progress, FIGURE_SECONDS)
+        metrics["figures_left_out"] = draw(job.folder / "report.html", data, hook)[1]
+
+
+def _came_to(deadline: Deadline, metrics: dict[str, Any]) -> dict[str, Any]:
+    """Error and time of the run, beside what was predicted of it."""
+    seconds, processor = deadline.spent
+    error = metrics["position_error_mm"]["mean"]
+    return {"error_mm": error, "seconds": seconds, "processor_seconds": processor}
 
 
 def _nees_band(calibration: Calibration) -> list[float] | None:

@@ -19,13 +19,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from dots import dots
 
 import meshskin as ms
 from meshskin.core.errors import MeshskinError
 from meshskin.effects.indenter_offset import IndenterOffset
 from meshskin.estimation.uncertainty import metrics
 from meshskin.report import theme
-from meshskin.report.dots import dots
 
 CONTACTS = 2000
 

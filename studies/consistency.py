@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from dots import dots
 from scipy.stats import chi2
 
 import meshskin as ms
@@ -47,7 +48,6 @@ from meshskin.estimation.uncertainty import metrics
 from meshskin.estimation.uncertainty.observability import TILT_SIGMA
 from meshskin.geometry.region import Cap
 from meshskin.report import theme
-from meshskin.report.dots import dots
 from meshskin.skin import slots
 
 NOISE, TAXELS, CONTACTS = 0.01, 40, 800

@@ -32,13 +32,13 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from dots import dots
 
 import meshskin as ms
 from meshskin.core.errors import MeshError, MeshskinError
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.report import theme
-from meshskin.report.dots import dots
 
 ERROR, SIGMAS = 0.3, 5.0
 """Error, mm, and error relative to the stated standard deviation of a taxel that is wrong."""

@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from dots import dots
 
 import meshskin as ms
 from meshskin.core import se3
 from meshskin.estimation.recalibrate.skin_map import turns
 from meshskin.report import theme
-from meshskin.report.dots import dots
 from meshskin.skin import slots
 from meshskin.skin.skin import Modules
 

@@ -30,6 +30,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+from dots import dots
 
 import meshskin as ms
 from meshskin.estimation import chart
@@ -41,7 +42,6 @@ from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.uncertainty import metrics
 from meshskin.recording.recording import READINGS
 from meshskin.report import theme
-from meshskin.report.dots import dots
 
 CONTACTS, NOISE, THRESHOLD = 2000, 0.01, 0.05
 SHARES, PART = (0.05, 0.1, 0.15, 0.2), 0.2

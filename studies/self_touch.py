@@ -28,11 +28,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from dots import dots
 
 import meshskin as ms
 from meshskin.core.se3 import transform
 from meshskin.report import theme
-from meshskin.report.dots import dots
 from meshskin.robot.chain import Chain
 
 if TYPE_CHECKING:

@@ -29,12 +29,12 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from dots import dots
 from scipy.spatial import cKDTree
 
 import meshskin as ms
 from meshskin.core.errors import MeshError, MeshskinError
 from meshskin.report import theme
-from meshskin.report.dots import dots
 
 POINTS = 1500
 """Points of a mesh."""

@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from dots import dots
 
 import meshskin as ms
 from meshskin.core.errors import MeshskinError
 from meshskin.report import theme
-from meshskin.report.dots import dots
 
 CONTACTS, FORCES = 800, (2.5, 3.5)
 Log = Callable[[ms.Recording], ms.Recording]

@@ -6,7 +6,7 @@ import argparse
 import math
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import ConfigError
 from . import live
@@ -97,82 +97,99 @@ def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
     return 0
 
 
+METHODS = {
+    "trilateration": "trilateration",
+    "three_circles": "three chosen circles",
+    "eq15": "eq. 15 as printed",
+    "posegraph": "pose graph",
+    "posegraph_paper": "pose graph of chosen circles",
+    "centroid": "centroid",
+}
+"""Names of the other methods, by their keys in the metrics."""
+
+
 def summary(result: Result, folder: Path) -> str:
     """The text that the command prints."""
     m, calibration = result.metrics, result.calibration
-    error, bound, force = m["position_error_mm"], m["crlb_mm"], m["force"]
     found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
+    lines = [
+        *filter(None, [m["force"].get("departure"), m.get("budget", {}).get("above")]),
+        *([str(calibration.verdict)] if calibration.verdict is not None else []),
+        f"{m['scene']}: {found} of {m['taxels']} taxels calibrated from "
+        f"{m['readings']} readings in {m['contacts']} contacts",
+        *_errors(m),
+        _row("force", _force(m["force"])),
+    ]
+    if calibration.modulus is not None:
+        lines.append(_row("E*", f"{calibration.modulus / 1e3:.4g} kPa{certainty(calibration)}"))
+    lines += response_lines(calibration)
+    if "promise" in m:
+        lines.append(_row("promised", _promise(m["promise"])))
+    lines += _left_out(m, folder, result.recording.metadata.get("unreachable", {}))
+    lines.append(_row("not determined", m["undetermined"]))
+    if m["steps_per_second"] is not None:
+        lines.append(_row("closed loop", f"{m['steps_per_second']:,.0f} steps/s"))
+    else:
+        lines.append(_row("contacts to press", folder / "contacts.csv"))
+    seconds = ", ".join(f"{name} {value:.2f}" for name, value in m["seconds"].items())
+    lines += [_row("seconds", seconds), _row("report", folder / "report.html")]
+    return "\n".join(lines)
+
+
+def _row(name: str, value: object) -> str:
+    return f"  {name:<18} {value}"
+
+
+def _errors(m: dict[str, Any]) -> list[str]:
+    """The position errors of the estimate and of the other methods."""
+    error, bound = m["position_error_mm"], m["crlb_mm"]
+    limit = f"  (bound: mean {bound['mean']:.4g})" if bound else ""
+    means = {name: m[key]["mean"] for key, name in METHODS.items()}
+    others = [f"{name} " + ("none" if x is None else f"{x:.3g} mm") for name, x in means.items()]
+    lines = [
+        _row(
+            "position error",
+            f"mean {error['mean']:.4g} mm, rms {error['rms']:.4g}, max {error['max']:.4g}{limit}",
+        ),
+        _row("other methods", ", ".join(others)),
+    ]
+    if m["worse_than_centroid"]:
+        lines.append(f"  worse than centroid  {', '.join(m['worse_than_centroid'])}")
+    return lines
+
+
+def _force(force: dict[str, Any]) -> str:
+    """The contact force against its reference."""
     lighter = " and ".join(f"{one:g}" for one in force.get("lighter_references_n", ()))
     scaled = f" (contacts of {lighter} N scaled to it)" if lighter else ""
     settled = f"settled in {1e3 * force['settling_s']:.0f} ms"
     if math.isinf(force["settling_s"]):
         settled = "not settled before the contact point moved"
-    lines = [
-        *filter(None, [force.get("departure"), m.get("budget", {}).get("above")]),
-        *([str(calibration.verdict)] if calibration.verdict is not None else []),
-        f"{m['scene']}: {found} of {m['taxels']} taxels calibrated from "
-        f"{m['readings']} readings in {m['contacts']} contacts",
-        f"  position error     mean {error['mean']:.4g} mm, rms {error['rms']:.4g}, "
-        f"max {error['max']:.4g}" + (f"  (bound: mean {bound['mean']:.4g})" if bound else ""),
-        "  other methods      "
-        + ", ".join(
-            f"{label} " + ("none" if m[key]["mean"] is None else f"{m[key]['mean']:.3g} mm")
-            for key, label in (
-                ("trilateration", "trilateration"),
-                ("three_circles", "three chosen circles"),
-                ("eq15", "eq. 15 as printed"),
-                ("posegraph", "pose graph"),
-                ("posegraph_paper", "pose graph of chosen circles"),
-                ("centroid", "centroid"),
-            )
-        ),
-        *(
-            [f"  worse than centroid  {', '.join(m['worse_than_centroid'])}"]
-            if m["worse_than_centroid"]
-            else []
-        ),
-        f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N{scaled}, "
-        f"{settled}, "
-        f"overshoot {100 * force['overshoot']:.1f} %, then "
-        + (
-            "left its reference: see above"
-            if "departure" in force
-            else f"within {100 * force['disturbance']:.2g} %"
-        ),
-    ]
-    if calibration.modulus is not None:
-        value = f"{calibration.modulus / 1e3:.4g} kPa{certainty(calibration)}"
-        lines.append(f"  E*                 {value}")
-    lines += response_lines(calibration)
-    if "promise" in m:
-        p = m["promise"]
-        came = p["came_to"]
-        said = "nothing"
-        if p["error_mm"] is not None:
-            said = f"{p['error_mm']:.3g} mm in {p['seconds']:.3g} s"
-        lines.append(
-            f"  promised           {said} for {p['asked']} ({p['setting']}); came to "
-            f"{came['error_mm']:.3g} mm in {came['seconds']:.3g} s"
-        )
-    if m["left_out"]:
-        lines.append(f"  not compared       no time for {', '.join(m['left_out'])}")
-    if m["figures_left_out"]:
-        lines.append(f"  not drawn          no time for {', '.join(m['figures_left_out'])}")
-    left_out = Counter(result.recording.metadata.get("unreachable", {}).values())
-    if m["left_out"] or m["figures_left_out"]:
-        lines.append(f"  to add them        meshskin report {folder}")
-    lines += [
-        f"  not reached        {n} taxel{'s' * (n > 1)}: {why}" for why, n in left_out.most_common()
-    ]
-    lines += [
-        "  not determined     " + m["undetermined"],
-        *(
-            [f"  closed loop        {m['steps_per_second']:,.0f} steps/s"]
-            if m["steps_per_second"] is not None
-            else [f"  contacts to press  {folder / 'contacts.csv'}"]
-        ),
-        "  seconds            "
-        + ", ".join(f"{name} {value:.2f}" for name, value in m["seconds"].items()),
-        f"  report             {folder / 'report.html'}",
-    ]
-    return "\n".join(lines)
+    then = f"within {100 * force['disturbance']:.2g} %"
+    if "departure" in force:
+        then = "left its reference: see above"
+    return (
+        f"{force['mean_n']:.4f} N for {force['reference_n']:g} N{scaled}, {settled}, "
+        f"overshoot {100 * force['overshoot']:.1f} %, then {then}"
+    )
+
+
+def _promise(promise: dict[str, Any]) -> str:
+    """What was predicted of the run, and what came of it."""
+    said, came = "nothing", promise["came_to"]
+    if promise["error_mm"] is not None:
+        said = f"{promise['error_mm']:.3g} mm in {promise['seconds']:.3g} s"
+    return (
+        f"{said} for {promise['asked']} ({promise['setting']}); came to "
+        f"{came['error_mm']:.3g} mm in {came['seconds']:.3g} s"
+    )
+
+
+def _left_out(m: dict[str, Any], folder: Path, unreachable: dict[str, str]) -> list[str]:
+    """Methods and figures that no time was left for, and taxels that were not reached."""
+    missing = {"not compared": m["left_out"], "not drawn": m["figures_left_out"]}
+    lines = [_row(k, f"no time for {', '.join(names)}") for k, names in missing.items() if names]
+    if lines:
+        lines.append(_row("to add them", f"meshskin report {folder}"))
+    reasons = Counter(unreachable.values()).most_common()
+    return lines + [_row("not reached", f"{n} taxel{'s' * (n > 1)}: {why}") for why, n in reasons]

@@ -100,15 +100,7 @@ def adapt(
     Raises ConfigError for a target outside (0, sensing radius) and for fewer contacts than the
     first pass has; ReachError if no contact can be made.
     """
-    check_type(Scene, scene, "what is explored")
-    check_real("target of an adaptive exploration", target)
-    check_integer("most contacts", most, least=1)
-    if not 0 < target < scene.rig.sensing_radius:
-        raise ConfigError(
-            "the target of an adaptive exploration",
-            value=f"{target} m",
-            limit=f"above 0, below the {scene.rig.sensing_radius:.2g} m at which a contact is felt",
-        )
+    _check(scene, target, most)
     unreachable: Mapping[int, str] = {}
     if points is None:
         points, unreachable = lane_contacts(scene, FIRST_SPACING)
@@ -142,6 +134,19 @@ def adapt(
             failed = reasons[taxels == taxel]
             if (failed != "").all():
                 rounds.give_up(np.array([taxel]), str(failed[0]))
+
+
+def _check(scene: Scene, target: float, most: int) -> None:
+    """Raise ConfigError for arguments of `adapt` that cannot be used."""
+    check_type(Scene, scene, "what is explored")
+    check_real("target of an adaptive exploration", target)
+    check_integer("most contacts", most, least=1)
+    if not 0 < target < scene.rig.sensing_radius:
+        raise ConfigError(
+            "the target of an adaptive exploration",
+            value=f"{target} m",
+            limit=f"above 0, below the {scene.rig.sensing_radius:.2g} m at which a contact is felt",
+        )
 
 
 def _checked(points: Array, most: int) -> Array:

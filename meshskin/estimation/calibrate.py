@@ -104,7 +104,7 @@ class Estimation:
                 value=unknown_scale,
                 remedy=f"use one of {', '.join(UNITLESS)}",
             )
-        begin, data, given = time.perf_counter(), self.data, self.recording
+        begin, data = time.perf_counter(), self.data
         limits = {"tolerance": tolerance, "iterations": iterations} if method == "joint" else {}
         result = METHODS[method](self, stage, **limits)
         shape = observability.shape_operators(data.body, result.points, result.rotations)
@@ -115,11 +115,7 @@ class Estimation:
         covariance = covariance + systematic_covariance(
             self._near, result.unknowns, result.rotations, shape, result.jump
         )
-        reasons = np.array(result.reasons, dtype=object)
-        reasons[(data.counts == 0) & (reasons != "")] = UNTOUCHED
-        reasons[data.constant & (reasons != "")] = CONSTANT
         weak = np.asarray(~observed.any(axis=1))
-        reasons[weak & (reasons == "")] = WEAK
         points = np.where(weak[:, None], np.nan, result.points)
         calibration = Calibration(
             ids=data.ids,
@@ -130,13 +126,13 @@ class Estimation:
             readings=data.counts,
             method=method,
             chi2=result.chi2,
-            reasons=reasons,
+            reasons=self._reasons(result, weak),
             contact_centroids=self._contact_centroids,
             belief=data.belief,
             provenance=provenance(
                 method=method,
                 recording=self._digest,
-                source=given.metadata.get("provenance", {}),
+                source=self.recording.metadata.get("provenance", {}),
             ),
             disc_radius=data.belief.disc_radius,
             frame=getattr(data.belief.body, "frame", None),  # an exact surface has none
@@ -146,6 +142,14 @@ class Estimation:
         total = self._seconds + time.perf_counter() - begin
         seconds |= {"other": total - sum(seconds.values()), "total": total}
         return replace(calibration, seconds=seconds), result
+
+    def _reasons(self, result: EstimatorResult, weak: np.ndarray) -> np.ndarray:
+        """Why a taxel (n,) has no estimate; weak (n,): those too weakly determined."""
+        reasons = np.array(result.reasons, dtype=object)
+        reasons[(self.data.counts == 0) & (reasons != "")] = UNTOUCHED
+        reasons[self.data.constant & (reasons != "")] = CONSTANT
+        reasons[weak & (reasons == "")] = WEAK
+        return reasons
 
     @cached_property
     def _near(self) -> Measurements:

@@ -27,6 +27,10 @@ from .joint.pressure import CENSORED, OBSERVED, SATURATED, costs
 
 if TYPE_CHECKING:
     from .calibration import Calibration
+    from .result import LearnedResponse
+
+Pairs = tuple[np.ndarray, np.ndarray, Array, np.ndarray]
+"""Contact, taxel, level and kind of readings."""
 
 LEAST = 3
 """Readings of a contact that is localized: of two, one is left to choose between the two places
@@ -73,61 +77,29 @@ class CalibratedSkin:
     @classmethod
     def of(cls, calibration: Calibration, data: Measurements) -> CalibratedSkin:
         """The skin of a calibration that has its belief, for the contacts of `data`."""
-        belief, response = calibration.belief, calibration.response
+        belief = calibration.belief
         assert belief is not None
         if belief.contact != data.model.name:
             data = replace(data, belief=belief, model=contact_model(belief))
             data = data.at_contacts(data.body.closest(data.points))
-        fit_noise = np.nan if calibration.fit is None else calibration.fit.noise
-        noise = fit_noise / data.sigma if np.isfinite(fit_noise) and fit_noise > 0 else 1.0
+        found = np.nan if calibration.fit is None else calibration.fit.noise
+        noise = found / data.sigma if np.isfinite(found) and found > 0 else 1.0
         deviations = Deviations(noise, position=0.0, force=0.0)
-        if response is not None:
-            scale = data.unit / response.unit
-            estimated = {label.split()[0] for label in calibration.unknowns}
-            for name in estimated & {"hysteresis", "creep", *WARMING} - set(data.parameters.names):
-                p, more = data.parameters, np.full(SIZES[name], PRIORS[name])
-                p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, more))
-                data = replace(data, parameters=p)
-            data = replace(data.referred_to(response.references), learned=True)
-            data = with_learned_response(data, calibration.positions)
-            data = replace(
-                data,
-                profile_extent=response.extent,
-                response_levels=response.levels,
-                pressure=data.pressure * scale,
-                threshold=data.threshold * scale,
-                saturation=data.saturation * scale,
-                ends=data.ends * scale,
-                unit=response.unit,
-            )
+        if (response := calibration.response) is not None:
+            data = _as_learned(calibration, response, data)
             deviations = Deviations(
                 response.noise / (data.sigma * data.unit),
                 response.noise_relative,
                 response.contact_scatter,
                 response.force_scatter,
             )
-        if calibration.taxel_unknowns:
-            peak = data.nominal_peak
-            data = replace(data, parameters=data.parameters.with_nuisance(peak))
-            if "drift" in calibration.taxel_unknowns:
-                p = data.parameters
-                names = tuple(dict.fromkeys((*p.nuisance_names, "drift")))
-                sigma = (*p.nuisance_sigma, PRIORS["drift"] * peak)[: len(names)]
-                p = replace(p, nuisance_names=names, nuisance_sigma=sigma)
-                data = replace(data, parameters=p)
-        units = {"gain": 1.0} | dict.fromkeys(("offset", "drift"), data.sigma * data.unit)
-        none = np.zeros((len(data.ids), 2))
-        columns = [
-            np.nan_to_num(calibration.taxel_unknowns.get(name, none)[:, 0] / units[name])
-            for name in data.parameters.nuisance_names
-        ]
+        data, nuisance = _with_taxel_unknowns(calibration, data)
         data, s = _in_place(data, _shared(calibration, data))
         rotation = calibration.poses[:, :3, :3]
         local = calibration.covariances[:, :3, :3]
         live = np.flatnonzero(np.isfinite(calibration.poses).all(axis=(1, 2)))
         covariances = np.zeros((len(data.ids), 3, 3))
         covariances[live] = rotation[live] @ local[live] @ np.swapaxes(rotation[live], 1, 2)
-        nuisance = np.stack(columns, axis=1) if columns else none[:, :0]
         return cls(
             past=KnownPast.of(data, live, calibration.positions, rotation[:, :, 2], nuisance, s),
             data=data,
@@ -144,8 +116,8 @@ class CalibratedSkin:
         """Rows of the readings of `contacts` by determined taxels, sorted by contact."""
         mine = np.zeros(len(self.data.points), dtype=bool)
         mine[contacts] = True
-        usable = np.isfinite(self.points[self.data.taxel, 0])
-        rows = np.flatnonzero(mine[self.data.contact] & usable)
+        determined = np.isfinite(self.points[self.data.taxel, 0])
+        rows = np.flatnonzero(mine[self.data.contact] & determined)
         return rows[np.argsort(self.data.contact[rows], kind="stable")]
 
     def centroids(self, contacts: np.ndarray) -> Array:
@@ -186,8 +158,7 @@ class CalibratedSkin:
         if not len(contacts):
             return np.full(data.points.shape, np.nan)
         hit = data.body.closest(middle)
-        across = np.cross(hit.normal, hit.direction)
-        radius = START * data.radii[contacts, None]
+        across, radius = np.cross(hit.normal, hit.direction), START * data.radii[contacts, None]
         for a, b in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
             start = middle + radius * (a * hit.direction + b * across)
             found, cost = self._climb(contacts, start)
@@ -230,13 +201,10 @@ class CalibratedSkin:
         points[rows] = places
         return self.data.at_contacts(self.data.body.closest(points))
 
-    def _pairs(
-        self, rows: np.ndarray, start: Array
-    ) -> tuple[np.ndarray, np.ndarray, Array, np.ndarray]:
+    def _pairs(self, rows: np.ndarray, start: Array) -> Pairs:
         """Contact, taxel, level and kind of the readings of the contacts `rows`, and of the silent
         taxels within two reaches of `start` (h, 3)."""
-        data, live = self.data, self.live
-        read = self.read(rows)
+        data, live, read = self.data, self.live, self.read(rows)
         reach = np.zeros(len(data.points))
         reach[rows] = 2 * data.reach()[rows]
         around = self._moved(rows, start)
@@ -257,10 +225,7 @@ class CalibratedSkin:
         )
 
     def _cost(
-        self,
-        rows: np.ndarray,
-        at: Measurements,
-        pairs: tuple[np.ndarray, np.ndarray, Array, np.ndarray],
+        self, rows: np.ndarray, at: Measurements, pairs: Pairs
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Of the contacts `rows` of `at`: costs (h,), points (h, 3), principal directions
         (h, 2, 3), and along these gradients (h, 2) and Gauss-Newton Hessians (h, 2, 2)."""
@@ -286,8 +251,8 @@ class CalibratedSkin:
         points: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
         points = self.points[taxel] if points is None else points
-        likelihood = Likelihood(at, Readings.none())
         before = None if self.past is None else self.past.before(contact, taxel)
+        likelihood = Likelihood(at, Readings.none())
         return likelihood.predict(contact, points, self.nuisance[taxel], contacts, before)
 
     def log_likelihoods(self, contacts: np.ndarray) -> tuple[Array, np.ndarray]:
@@ -311,14 +276,57 @@ class CalibratedSkin:
         variance = d.noise_of(mu) ** 2 + own
         last = 3 + self.nuisance.shape[1] + len(self.s)
         shared = jacobian[last : last + 3].T * [d.position, d.position, d.force]
-        out = np.zeros(len(data.points))
-        ends = np.cumsum(count)
+        out, ends = np.zeros(len(data.points)), np.cumsum(count)
         for k in np.flatnonzero(count):
             part = slice(ends[k] - count[k], ends[k])
             covariance = np.diag(variance[part]) + shared[part] @ shared[part].T
             quadratic = off[part] @ np.linalg.solve(covariance, off[part])
             out[k] = -(quadratic + np.linalg.slogdet(2 * np.pi * covariance)[1]) / 2
         return out - count * np.log(data.sigma * data.unit), count
+
+
+def _as_learned(
+    calibration: Calibration, response: LearnedResponse, data: Measurements
+) -> Measurements:
+    """The measurements under the response that a calibration learned, in its unit."""
+    scale = data.unit / response.unit
+    estimated = {label.split()[0] for label in calibration.unknowns}
+    for name in estimated & {"hysteresis", "creep", *WARMING} - set(data.parameters.names):
+        p, more = data.parameters, np.full(SIZES[name], PRIORS[name])
+        p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, more))
+        data = replace(data, parameters=p)
+    data = replace(data.referred_to(response.references), learned=True)
+    return replace(
+        with_learned_response(data, calibration.positions),
+        profile_extent=response.extent,
+        response_levels=response.levels,
+        pressure=data.pressure * scale,
+        threshold=data.threshold * scale,
+        saturation=data.saturation * scale,
+        ends=data.ends * scale,
+        unit=response.unit,
+    )
+
+
+def _with_taxel_unknowns(
+    calibration: Calibration, data: Measurements
+) -> tuple[Measurements, Array]:
+    """The measurements with the parameters of single taxels that a calibration estimated, and their
+    values (n, .) as `Likelihood.predict` takes them."""
+    if calibration.taxel_unknowns:
+        peak, p = data.nominal_peak, data.parameters.with_nuisance(data.nominal_peak)
+        if "drift" in calibration.taxel_unknowns:
+            names = tuple(dict.fromkeys((*p.nuisance_names, "drift")))
+            sigma = (*p.nuisance_sigma, PRIORS["drift"] * peak)[: len(names)]
+            p = replace(p, nuisance_names=names, nuisance_sigma=sigma)
+        data = replace(data, parameters=p)
+    units = {"gain": 1.0} | dict.fromkeys(("offset", "drift"), data.sigma * data.unit)
+    none = np.zeros((len(data.ids), 2))
+    columns = [
+        np.nan_to_num(calibration.taxel_unknowns.get(name, none)[:, 0] / units[name])
+        for name in data.parameters.nuisance_names
+    ]
+    return data, np.stack(columns, axis=1) if columns else none[:, :0]
 
 
 def _shared(calibration: Calibration, data: Measurements) -> Array:
@@ -335,10 +343,8 @@ def _shared(calibration: Calibration, data: Measurements) -> Array:
 
 def _in_place(data: Measurements, s: Array) -> tuple[Measurements, Array]:
     """The measurements with the contacts where s (ks,) puts them, and the rest of s."""
-    parameters = data.parameters
-    if not parameters.move_contacts:
+    if not data.parameters.move_contacts:
         return data, s
-    points = LinearizedContacts(data, s).at(s).points
-    data = data.at_contacts(data.body.closest(points))
-    still, rows = parameters.without(MOVES)
+    data = data.at_contacts(data.body.closest(LinearizedContacts(data, s).at(s).points))
+    still, rows = data.parameters.without(MOVES)
     return replace(data, parameters=still), s[rows]

@@ -33,7 +33,7 @@ WIDTH = 1.6
 """Width of the view in its height, at least."""
 FRAME_LENGTH = 0.4
 """Length of the axes of drawn frames, relative to the distance between taxels."""
-_AXES = (("x", "#d62728"), ("y", "#2ca02c"), ("z", "#1f77b4"))
+_COLOURS = (("x", "#d62728"), ("y", "#2ca02c"), ("z", "#1f77b4"))
 _MAX_FRAMES = 400
 """Most taxels with a frame and an ellipsoid; of larger skins every k-th has them."""
 
@@ -44,7 +44,7 @@ def _packed(values: ArrayLike, kind: str = "f4") -> dict[str, str]:
 
 
 def _xyz(points: Array) -> dict[str, Any]:
-    return {axis: _packed(points[:, k] * MM) for k, (axis, _) in enumerate(_AXES)}
+    return {axis: _packed(points[:, k] * MM) for k, (axis, _) in enumerate(_COLOURS)}
 
 
 def _mesh(vertices: Array, faces: ArrayLike) -> dict[str, Any]:
@@ -97,7 +97,7 @@ def frames(poses: Array, length: float, name: str, visible: bool = True) -> list
             visible=True if visible else "legendonly",
             line={"color": colour, "width": 3},
         )
-        for k, (_, colour) in enumerate(_AXES)
+        for k, (_, colour) in enumerate(_COLOURS)
     ]
 
 
@@ -224,14 +224,45 @@ def layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
     low, high = low - pad, high + pad
     size = float(np.max(high - low))
     plane = tangent_plane(skin, normals)
-    good = finite_rows(skin)
-    radius = float(np.max(np.linalg.norm(good - plane.origin, axis=1), initial=0.05 * size))
-    middle = (low + high) / 2
-    outward = np.cross(*plane.axes)
+    radius = np.linalg.norm(finite_rows(skin) - plane.origin, axis=1).max(initial=0.05 * size)
     across, up = plane.axes
-    direction = outward * 0.88 - up * 0.42 + across * 0.2
+    direction = np.cross(across, up) * 0.88 - up * 0.42 + across * 0.2
     direction /= np.linalg.norm(direction)
-    axes = {
+    middle = (low + high) / 2
+
+    def camera(focus: Array, points: Array) -> dict[str, Any]:
+        """From the front of the skin, so far that all points are seen; in sizes of the whole."""
+        far = _distance(points - focus, direction, up) / size
+        centre = (focus - middle) / size
+        eye = centre + direction * far
+        return {"center": _vector(centre), "eye": _vector(eye), "up": _vector(up)}
+
+    around = plane.origin + float(radius) * np.concatenate([np.eye(3), -np.eye(3)])
+    corners = np.stack(np.meshgrid(*np.stack([low, high]).T), axis=-1).reshape(-1, 3)
+    cameras = {"whole body": camera(middle, corners), "skin": camera(plane.origin, around)}
+    return {
+        "scene": {
+            **_axes(low, high),
+            "aspectmode": "manual",
+            "aspectratio": _vector((high - low) / size),
+            "camera": cameras["whole body"],
+        },
+        "margin": {"l": 0, "r": 0, "t": 36, "b": 0},
+        "legend": {"orientation": "h", "x": 0.0, "y": 0.0, "yanchor": "top"},
+        "updatemenus": [_buttons(cameras)],
+        "font": {"family": "system-ui, sans-serif", "size": 12, "color": theme.INK},
+        "paper_bgcolor": "#ffffff",
+        "meta": {"light": _vector((plane.origin + 8 * size * (direction + 0.5 * up)) * MM)},
+    }
+
+
+def _vector(values: Array) -> dict[str, float]:
+    return dict(zip("xyz", np.round(values, 6).tolist(), strict=True))
+
+
+def _axes(low: Array, high: Array) -> dict[str, Any]:
+    """The three axes, from `low` to `high` (3,), m."""
+    return {
         f"{axis}axis": {
             "title": {"text": f"{axis} (mm)"},
             "range": [low[k] * MM, high[k] * MM],
@@ -241,50 +272,25 @@ def layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
             "backgroundcolor": "#ffffff",
             "nticks": 6,
         }
-        for k, (axis, _) in enumerate(_AXES)
+        for k, (axis, _) in enumerate(_COLOURS)
     }
 
-    def vector(v: Array) -> dict[str, float]:
-        return dict(zip("xyz", np.round(v, 6).tolist(), strict=True))
 
-    def camera(focus: Array, points: Array) -> dict[str, Any]:
-        """From the front of the skin, so far that all points are seen; in sizes of the whole."""
-        far = _distance(points - focus, direction, up) / size
-        centre = (focus - middle) / size
-        eye = centre + direction * far
-        return {"center": vector(centre), "eye": vector(eye), "up": vector(up)}
-
-    around = plane.origin + radius * np.concatenate([np.eye(3), -np.eye(3)])
-    corners = np.stack(np.meshgrid(*np.stack([low, high]).T), axis=-1).reshape(-1, 3)
-    cameras = {"whole body": camera(middle, corners), "skin": camera(plane.origin, around)}
+def _buttons(cameras: dict[str, Any]) -> dict[str, Any]:
+    """A button for each camera."""
     return {
-        "scene": {
-            **axes,
-            "aspectmode": "manual",
-            "aspectratio": vector((high - low) / size),
-            "camera": cameras["whole body"],
-        },
-        "margin": {"l": 0, "r": 0, "t": 36, "b": 0},
-        "legend": {"orientation": "h", "x": 0.0, "y": 0.0, "yanchor": "top"},
-        "updatemenus": [
-            {
-                "type": "buttons",
-                "direction": "left",
-                "x": 0.0,
-                "y": 1.0,
-                "xanchor": "left",
-                "yanchor": "bottom",
-                "showactive": False,
-                "pad": {"b": 4},
-                "buttons": [
-                    {"label": name, "method": "relayout", "args": [{"scene.camera": camera}]}
-                    for name, camera in cameras.items()
-                ],
-            }
+        "type": "buttons",
+        "direction": "left",
+        "x": 0.0,
+        "y": 1.0,
+        "xanchor": "left",
+        "yanchor": "bottom",
+        "showactive": False,
+        "pad": {"b": 4},
+        "buttons": [
+            {"label": name, "method": "relayout", "args": [{"scene.camera": camera}]}
+            for name, camera in cameras.items()
         ],
-        "font": {"family": "system-ui, sans-serif", "size": 12, "color": theme.INK},
-        "paper_bgcolor": "#ffffff",
-        "meta": {"light": vector((plane.origin + 8 * size * (direction + 0.5 * up)) * MM)},
     }
 
 

@@ -117,14 +117,7 @@ class ClosedLoopDynamics:
         assumed = contact.with_modulus(loop.law.effective_modulus)
         slope = assumed.slope_at(compliance.slope_depth(depth, assumed.reference_depth))
         speed = compliance.force_speed(p, slope, depth, force) * (1.0 - p.track_normal)
-        curvature = ca.fmax(contact.curvature, MIN_CURVATURE)
-        if loop.law.surface == "exact":
-            shape = rotation @ self.normal_gradient(uv, centre) @ rotation.T
-            at_centre = shift_jacobian(jacobian, ca.DM(loop.indenter_position) - position)
-            distance = 1.0 / curvature + p.indenter_radius - contact.depth
-            rows = compliance.force_rows(at_centre, normal, shape, distance)
-        else:  # the paper's sphere: the Jacobian of the (osculating) sphere's centre
-            rows = shift_jacobian(jacobian, lever - normal / curvature)[:3, :]
+        rows = self.force_rows(jacobian, contact, uv, centre, pose)
         normal_motion = compliance.damped_inverse(rows, ca.DM([FORCE_DAMPING] * 3), normal)
         omega, velocity = compliance.path_twist(
             self.reference, p.tracking, position, rotation, lever, normal, p.track_normal, ahead
@@ -156,6 +149,25 @@ class ClosedLoopDynamics:
             memory=shift_memory(memory, contact),
             output=ca.vertcat(contact.output, torque),
         )
+
+    def force_rows(
+        self, jacobian: ca.SX, contact: SurfaceContact, uv: ca.SX, centre: ca.SX, pose: ca.SX
+    ) -> ca.SX:
+        """Rows (3, n) of the force part of the law.
+
+        jacobian (6, n) of the body's frame; centre (3,) of the indenter, body frame, m; pose (4, 4)
+        of the body.
+        """
+        loop, rotation, position = self.loop, pose[:3, :3], pose[:3, 3]
+        normal = rotation @ contact.normal
+        curvature = ca.fmax(contact.curvature, MIN_CURVATURE)
+        if loop.law.surface == "exact":
+            shape = rotation @ self.normal_gradient(uv, centre) @ rotation.T
+            at_centre = shift_jacobian(jacobian, ca.DM(loop.indenter_position) - position)
+            distance = 1.0 / curvature + self.p.indenter_radius - contact.depth
+            return compliance.force_rows(at_centre, normal, shape, distance)
+        # the paper's sphere: the Jacobian of the (osculating) sphere's centre
+        return shift_jacobian(jacobian, rotation @ contact.point - normal / curvature)[:3, :]
 
     def friction(self, qdot: ca.SX) -> ca.SX:
         """Friction torque of the joints (n,), N m: viscous, and Coulomb friction smoothed by tanh

@@ -99,15 +99,19 @@ def simulate(
         recording = Recording.load(out)
     else:
         recording = record_steps(scene, simulator, path, steps, seed, chain)
-    if words := describe_departure(recording):
+    for words in filter(None, (describe_departure(recording), _given_up(recording))):
         warnings.warn(words, stacklevel=2)
-    if given_up := recording.metadata["given_up"]:
-        count = (
-            f"{len(given_up)} parts of the path were" if given_up[1:] else "1 part of the path was"
-        )
-        warnings.warn(f"{count} given up: {given_up[0]}", stacklevel=2)
     warn_left_out("reached", recording.metadata["unreachable"].values(), len(scene.skin))
     return recording
+
+
+def _given_up(recording: Recording) -> str:
+    """How many parts of the path were given up, and why the first one; "" if none was."""
+    reasons = recording.metadata["given_up"]
+    if not reasons:
+        return ""
+    count = f"{len(reasons)} parts of the path were" if reasons[1:] else "1 part of the path was"
+    return f"{count} given up: {reasons[0]}"
 
 
 def record_steps(

@@ -12,7 +12,7 @@ line-search algorithm" (Math. Programming 106, 2006).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,19 +83,11 @@ def tune(
     how much; UnknownNameError, ConfigError for invalid arguments, ReachError where the arm cannot
     make the manoeuvre.
     """
-    if objective not in OBJECTIVES:
-        raise UnknownNameError("objective", objective, OBJECTIVES)
-    check_type(Scene, scene, "what is tuned")
-    check_real("distance of the slide", distance, "m", above=0.0)
-    over = check_scenarios(over)
-    demands = demands or Demands()
-    check_type(Demands, demands, "demands")
-    if start is not None:
-        check_type(Gains, start, "start")
+    over, demands = check_scenarios(over), demands or Demands()
+    _check(scene, objective, distance, demands, start)
     stage = Stage(progress, "tune", USUAL_ITERATIONS)
     point, ahead = slide_start(scene, place, direction)
     shootings = _shootings(scene, over, point, ahead, distance)
-    force = scene.law.force_reference
     first = start or _first_gains(shootings[0], Gains.of(scene))
     ranges = _ranges(shootings[0], objective, bounds or {}, first)
     first = Gains(*np.clip(first.values, *ranges).tolist())
@@ -103,21 +95,9 @@ def tune(
     if objective == "force_error" and demands.time is None:
         demands = replace(demands, time=longest)
     horizon = _horizon(objective, demands, longest, distance / first.speed + first.ramp, first)
-    steps = int(np.ceil(horizon / scene.loop.dt)) + 2
-
-    def pose(demands: Demands, objective: str) -> TuningProblem:
-        made = TuningProblem(shootings, demands, objective, first, ranges, steps, force)
-        made.monitor.stage = stage
-        return made
-
-    problem = pose(demands, objective)
-    solution = problem.solve()
-    if not solution.slacks:
-        solution = _polished(problem, solution)
-    elif demands.time is None or objective == "settling":
-        solution = _from_nearest(problem)
-    else:
-        solution = _from_quickest(problem, pose(replace(demands, time=None), "time"), demands.time)
+    search = _Search(shootings, first, ranges, int(np.ceil(horizon / scene.loop.dt)) + 2, stage)
+    problem = search.problem(demands, objective)
+    solution = search.solution(problem, demands, objective)
     stage.end()
     dt, gains = scene.loop.dt, solution.gains
     gains = replace(gains, settle=float(dt * np.ceil(gains.settle / dt - 1e-6)))
@@ -134,6 +114,19 @@ def tune(
     )
 
 
+def _check(
+    scene: Scene, objective: str, distance: float, demands: Demands, start: Gains | None
+) -> None:
+    """Raise UnknownNameError or ConfigError for arguments of `tune` that cannot be used."""
+    if objective not in OBJECTIVES:
+        raise UnknownNameError("objective", objective, OBJECTIVES)
+    check_type(Scene, scene, "what is tuned")
+    check_real("distance of the slide", distance, "m", above=0.0)
+    check_type(Demands, demands, "demands")
+    if start is not None:
+        check_type(Gains, start, "start")
+
+
 def check_scenarios(over: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:
     """The scenarios as a tuple. Raises ConfigError where there is none."""
     if isinstance(over, Scenario):
@@ -146,6 +139,42 @@ def check_scenarios(over: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]
             remedy="leave over= out for the scene alone, or give scenarios(modulus=(0.8, 1.2))",
         )
     return tuple(over)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What the problems of a search share."""
+
+    shootings: list[SingleShooting]
+    first: Gains
+    """The gains from which they begin."""
+    ranges: Array
+    """Lowest and highest gains (2, 8)."""
+    steps: int
+    """Steps of the closed loop."""
+    stage: Stage
+
+    def problem(self, demands: Demands, objective: str) -> TuningProblem:
+        """The problem of an objective under demands."""
+        force = self.shootings[0].scene.law.force_reference
+        problem = TuningProblem(
+            self.shootings, demands, objective, self.first, self.ranges, self.steps, force
+        )
+        problem.monitor.stage = self.stage
+        return problem
+
+    def solution(self, problem: TuningProblem, demands: Demands, objective: str) -> TuningSolution:
+        """The solution of `problem`, from other gains where its first ones lead to none.
+
+        Raises TuningError where no gains meet the demands.
+        """
+        solution = problem.solve()
+        if not solution.slacks:
+            return _polished(problem, solution)
+        if demands.time is None or objective == "settling":
+            return _from_nearest(problem)
+        quickest = self.problem(replace(demands, time=None), "time")
+        return _from_quickest(problem, quickest, demands.time)
 
 
 def _from_nearest(problem: TuningProblem) -> TuningSolution:

@@ -20,10 +20,10 @@ from time import process_time
 
 import numpy as np
 import results
+from batch_simulator import BatchSimulator
 
 import meshskin as ms
 from meshskin.geometry.region import Cap
-from meshskin.simulation.batch import BatchSimulator
 from meshskin.simulation.simulate import prepare, run
 from meshskin.simulation.track import Track
 

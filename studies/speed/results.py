@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,14 @@ def write(
     limits: Mapping[str, float] | None = None,
 ) -> None:
     """Write name.json, name.png and name.svg to `folder`, if there is one; rows, label and limits
-    are those of `meshskin.report.dots.dots`."""
+    are those of studies/dots.py."""
     if folder is None:
         return
     from meshskin.core.atomic_io import write_json  # imported last, as memory is measured
     from meshskin.report import theme
-    from meshskin.report.dots import dots
+
+    sys.path.append(str(Path(__file__).parents[1]))
+    from dots import dots
 
     theme.save(dots(rows, label, limits=limits), folder, name)
     write_json(folder / f"{name}.json", numbers)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 STUDIES = Path(__file__).parents[2] / "studies"
-sys.path.append(str(STUDIES))  # where a script finds the modules beside it
+sys.path += [str(STUDIES), str(STUDIES / "speed")]  # where a script finds the modules beside it
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,59 +46,50 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     unit_checks.check_readings(recording.metadata.get("readings"), belief.readings)
     index = taxel_rows(recording.reading_taxel, np.asarray(belief.taxel_ids))
     unit_checks.check_unique(recording, index, len(belief.taxel_ids))
-    headings, used = _headings(recording, belief), recording.force > 0
+    headings = _headings(recording, belief)
     learned = belief.readings == RAW or belief.contact == contact.LEARNED
     if learned:
         belief = replace(belief, contact=contact.LEARNED)
     belief, points, hit = _on_body(recording, belief, learned)
-    pressure, unit, falling = recording.pressure, 1.0, False
-    if belief.readings == RAW:
-        pressure, belief, unit, falling = nominal_pressure(
-            recording, belief, index, hit.curvature, used
-        )
-    corrupt = unit_checks.corrupt_readings(pressure, index)
-    read = used[recording.reading_contact] & (pressure > 0) & ~corrupt
-    _require_readings(read, recording, used)
-    if belief.readings != RAW:
-        contacts = recording.reading_contact[read]
-        check_pressures(pressure[read], contacts, index[read], points)
-    reference = belief.force_reference or 1.0
-    unit_checks.check_force(recording.force[used], reference)
-    if learned:  # which needs no valid model, but a single contact point
-        tight = in_hollows(hit.take(used), belief.indenter.radius)
-        valid = ~tight | (tight.mean() <= MAX_INVALID)
-    else:
-        valid = valid_contacts(recording.force[used], hit.curvature[used], belief)
-    strays = unit_checks.off_surface(
-        hit.take(used), recording.normals[used], belief.indenter.radius
-    )
-    used[used] = valid & ~strays
-    read &= used[recording.reading_contact]
-    if belief.readings != RAW:  # raw readings fluctuate about their level at rest
-        corrupt |= pressure < 0
-    corrupt &= used[recording.reading_contact]
+    selected, belief = _pressed(recording, belief, index, points, hit)
+    unit_checks.check_force(recording.force[selected.used], belief.force_reference or 1.0)
+    selected.leave_out_invalid(belief, hit, learned)
+    data = _measurements(selected, belief, points, hit, headings, learned)
+    motion = data.belief.contact_motion
+    if motion is None or "clock_offset" not in motion.labels:
+        data = without_delay(data)
+    check_answered(data)
+    check_disc(data)
+    return data
+
+
+def _measurements(
+    selected: _Selection,
+    belief: Belief,
+    points: Array,
+    hit: Closest,
+    headings: Array | None,
+    learned: bool,
+) -> Measurements:
+    """The measurements of the contacts that are selected, without readings below the threshold.
+
+    points (m, 3), m, hit and headings (m, 3, 3) are those of all contacts.
+    """
+    recording, used, n = selected.recording, selected.used, len(belief.taxel_ids)
     hit, force, row = hit.take(used), recording.force[used], np.cumsum(used) - 1
     model = contact_model(belief)
     patches = nominal_patches(model, belief, force, hit.curvature)
     if not learned:
-        unit_checks.check_pressure(pressure[read], index[read], patches.peak)
-    if learned and belief.readings != RAW:
-        level, threshold = pressures_above_rest(
-            pressure[read], index[read], int(used.sum()), belief.threshold
-        )
-        pressure, belief = pressure.copy(), replace(belief, threshold=threshold)
-        pressure[read] = level
-    read &= pressure > belief.threshold
-    reach = float(np.median(patches.first)) + belief.disc_radius
-    at = recording.points[recording.reading_contact[read]]
-    corrupt[read] = unit_checks.stuck_readings(pressure[read], index[read], at, reach)
-    read &= ~corrupt
-    _require_readings(read, recording, used)
-    peak, n = float(np.median(patches.peak)), len(belief.taxel_ids)
+        unit_checks.check_pressure(selected.pressures, selected.taxels, patches.peak)
+    elif belief.readings != RAW:  # raw readings are above their levels at rest already
+        belief = selected.above_rest(belief)
+    selected.leave_out_faint(belief, float(np.median(patches.first)) + belief.disc_radius)
+    pressure, taxel = selected.pressures, selected.taxels
     motion = belief.contact_motion and belief.contact_motion.take(used)
-    ends = ends_of_range(pressure[read], index[read], n)
-    saturation = belief.saturation or common_end(ends, np.bincount(index[read], minlength=n))
-    data = Measurements(
+    reference, peak = belief.force_reference or 1.0, float(np.median(patches.peak))
+    ends = ends_of_range(pressure, taxel, n)
+    saturation = belief.saturation or common_end(ends, np.bincount(taxel, minlength=n))
+    return Measurements(
         belief=belief,
         points=points[used],
         normals=hit.normal,
@@ -107,30 +98,122 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         force=force,
         patches=patches,
         model=model,
-        contact=row[recording.reading_contact][read],
-        taxel=index[read],
-        pressure=pressure[read],
+        contact=row[selected.contacts],
+        taxel=taxel,
+        pressure=pressure,
         noise=belief.noise_sigma,
-        threshold=max(belief.threshold, float(pressure[read].min())),
+        threshold=max(belief.threshold, float(pressure.min())),
         saturation=saturation,
         ends=np.minimum(ends, saturation),
-        constant=constant_taxels(recording.pressure, index, n),
-        falling=falling,
+        constant=constant_taxels(recording.pressure, selected.index, n),
+        falling=selected.falling,
         parameters=declared_parameters(belief.unknown, belief.priors, reference, peak, motion),
         learned=learned,
-        unit=unit,
+        unit=selected.unit,
         headings=None if headings is None else headings[used],
         time=recording.time[used],
         recorded=np.flatnonzero(used),
-        left_out=int(np.sum(~valid)),
-        strays=int(np.sum(strays)),
-        corrupt=np.column_stack([row[recording.reading_contact], index])[corrupt],
+        left_out=selected.invalid,
+        strays=selected.strays,
+        corrupt=np.column_stack([row[recording.reading_contact], selected.index])[selected.corrupt],
     )
-    if motion is None or "clock_offset" not in motion.labels:
-        data = without_delay(data)
-    check_answered(data)
-    check_disc(data)
-    return data
+
+
+@dataclass
+class _Selection:
+    """The contacts and readings of a recording that count; narrowed step by step."""
+
+    recording: Recording
+    index: np.ndarray
+    """Row (k,) of the taxel of each reading."""
+    pressure: Array
+    """(k,) Pa, or in the unit of raw readings."""
+    used: np.ndarray
+    """Contacts (m,) bool."""
+    read: np.ndarray
+    """Readings (k,) bool."""
+    corrupt: np.ndarray
+    """Readings (k,) bool that are left out as corrupt."""
+    unit: float = 1.0
+    """Of the readings, Pa."""
+    falling: bool = False
+    """Whether readings fall under pressure."""
+    invalid: int = 0
+    """Contacts left out at which the contact model does not hold."""
+    strays: int = 0
+    """Contacts left out that are off the surface."""
+
+    @property
+    def pressures(self) -> Array:
+        """Pressures of the readings that count."""
+        return self.pressure[self.read]
+
+    @property
+    def taxels(self) -> np.ndarray:
+        """Rows of the taxels of the readings that count."""
+        return self.index[self.read]
+
+    @property
+    def contacts(self) -> np.ndarray:
+        """Contacts of the readings that count."""
+        return self.recording.reading_contact[self.read]
+
+    def leave_out_invalid(self, belief: Belief, hit: Closest, learned: bool) -> None:
+        """Leave out contacts at which the model does not hold, and those off the surface; hit: of
+        all contacts."""
+        recording, radius, used = self.recording, belief.indenter.radius, self.used
+        if learned:  # which needs no valid model, but a single contact point
+            tight = in_hollows(hit.take(used), radius)
+            valid = ~tight | (tight.mean() <= MAX_INVALID)
+        else:
+            valid = valid_contacts(recording.force[used], hit.curvature[used], belief)
+        off = unit_checks.off_surface(hit.take(used), recording.normals[used], radius)
+        self.invalid, self.strays = int(np.sum(~valid)), int(np.sum(off))
+        used[used] = valid & ~off
+        of_used = used[recording.reading_contact]
+        if belief.readings != RAW:  # raw readings fluctuate about their level at rest
+            self.corrupt |= self.pressure < 0
+        self.read &= of_used
+        self.corrupt &= of_used
+
+    def above_rest(self, belief: Belief) -> Belief:
+        """Subtract the levels at rest of pressures; the belief with the threshold above them."""
+        level, threshold = pressures_above_rest(
+            self.pressures, self.taxels, int(self.used.sum()), belief.threshold
+        )
+        self.pressure = self.pressure.copy()
+        self.pressure[self.read] = level
+        return replace(belief, threshold=threshold)
+
+    def leave_out_faint(self, belief: Belief, reach: float) -> None:
+        """Leave out readings below the threshold, and those of taxels that are stuck for a while.
+
+        reach: distance, m, from which a taxel does not respond to a contact.
+        """
+        self.read &= self.pressure > belief.threshold
+        at = self.recording.points[self.contacts]
+        self.corrupt[self.read] = unit_checks.stuck_readings(self.pressures, self.taxels, at, reach)
+        self.read &= ~self.corrupt
+        _require_readings(self.read, self.recording, self.used)
+
+
+def _pressed(
+    recording: Recording, belief: Belief, index: np.ndarray, points: Array, hit: Closest
+) -> tuple[_Selection, Belief]:
+    """The contacts with a force and their readings that are not corrupt, and the belief with what
+    raw readings tell of threshold and saturation."""
+    pressure, unit, falling, used = recording.pressure, 1.0, False, recording.force > 0
+    if belief.readings == RAW:
+        pressure, belief, unit, falling = nominal_pressure(
+            recording, belief, index, hit.curvature, used
+        )
+    corrupt = unit_checks.corrupt_readings(pressure, index)
+    read = used[recording.reading_contact] & (pressure > 0) & ~corrupt
+    _require_readings(read, recording, used)
+    selected = _Selection(recording, index, pressure, used, read, corrupt, unit, falling)
+    if belief.readings != RAW:
+        check_pressures(selected.pressures, selected.contacts, selected.taxels, points)
+    return selected, belief
 
 
 def _on_body(recording: Recording, belief: Belief, learned: bool) -> tuple[Belief, Array, Closest]:

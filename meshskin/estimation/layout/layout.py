@@ -139,46 +139,56 @@ def layout(
     n = levels.shape[1]
     numbers = _checked_ids(ids, n)
     known = _known(numbers, spacing, touch_radius, module_slots)
-    if tiled and known.module is None:
-        raise CalibrationError("tiled modules need module_slots")
-    if body is not None and (known.module is not None or not (spacing or touch_radius)):
-        raise CalibrationError(
-            "a layout on a body needs a scale, and no modules",
-            remedy="give spacing or touch_radius, without module_slots",
-        )
+    _check_combination(known, tiled, body)
     middles = _middles(body, centre)
-    lengths = path_lengths(levels)
-    part = largest_part(lengths) & levels.any(axis=0)
-    reasons = np.where(part, "", np.where(levels.any(axis=0), APART, SILENT)).astype(object)
-    rows = np.flatnonzero(part)
-    inner = lengths[np.ix_(rows, rows)]
+    rows, inner, reasons = _together(levels)
     stage = Stage(progress, "layout", DRAWS + 2)
     points, unit, modules = known.plane(rows, inner)
     stage.step()
     departure = _departures(stress.distances(points), inner, unit)
     scaled = bool(spacing or touch_radius) or modules is not None
-    gauge, factors = _said(known, scaled)
+    gauge, factors = _said(known, scaled, tiled, body is not None)
     error = stress.misfit(stress.distances(points), inner, unit)
     drawn = _drawn(levels, rows, known, points, unit, scaled, seed, stage)
     if tiled and modules is not None:
         modules, wrong = tiles.tiled(modules)
         points, departure = modules.positions, np.hypot(departure, wrong[modules.module])
-        factors += ("modules edge to edge",)
     if body is not None:
         placed, spread, alike = best_on_body(body, points, inner, unit, middles)
         points, error = placed.positions, stress.misfit(placed.along, inner, unit)
         departure = np.hypot(_departures(placed.along, inner, unit), spread)
         gauge = _on_body_gauge(len(middles), alike)
-        factors += ("surface of the body",)
     seldom = ~np.isfinite(drawn)
     reasons[rows[seldom]] = SELDOM
     keep = rows[~seldom]
     positions, sigma = np.full((n, points.shape[1]), np.nan), np.full(n, np.nan)
     positions[keep] = points[~seldom]
     sigma[keep] = np.hypot(drawn, departure)[~seldom]
-    named = "m" if scaled else "spacings"
     stage.end()
-    return Layout(numbers, positions, sigma, reasons, named, gauge, factors, error)
+    unit_name = "m" if scaled else "spacings"
+    return Layout(numbers, positions, sigma, reasons, unit_name, gauge, factors, error)
+
+
+def _together(levels: np.ndarray) -> tuple[Index, Array, np.ndarray]:
+    """Rows (r,) of the largest part of taxels that answer together, the lengths (r, r) of the paths
+    between them, and for each taxel (n,) why it is not among them."""
+    lengths, answers = path_lengths(levels), levels.any(axis=0)
+    part = largest_part(lengths) & answers
+    rows = np.flatnonzero(part)
+    reasons = np.where(part, "", np.where(answers, APART, SILENT)).astype(object)
+    return rows, lengths[np.ix_(rows, rows)], reasons
+
+
+def _check_combination(known: _Known, tiled: bool, body: Body | None) -> None:
+    """Raise CalibrationError where tiling or a body does not go with what is known."""
+    if tiled and known.module is None:
+        raise CalibrationError("tiled modules need module_slots")
+    scaled = known.spacing or known.touch_radius
+    if body is not None and (known.module is not None or not scaled):
+        raise CalibrationError(
+            "a layout on a body needs a scale, and no modules",
+            remedy="give spacing or touch_radius, without module_slots",
+        )
 
 
 def _checked_ids(ids: ArrayLike | None, count: int) -> np.ndarray:
@@ -261,8 +271,8 @@ def _drawn(
     return np.where(often, np.sqrt(square / np.maximum(count, 1)), np.nan)
 
 
-def _said(known: _Known, scaled: bool) -> tuple[str, tuple[str, ...]]:
-    """Gauge and factors of a plane layout, in words."""
+def _said(known: _Known, scaled: bool, tiled: bool, on_body: bool) -> tuple[str, tuple[str, ...]]:
+    """Gauge of a plane layout, and the factors, in words."""
     free = ["position and angle in the plane"]
     factors = ["co-activation of the taxels, as of round touches spread evenly"]
     if known.module is not None:
@@ -274,6 +284,7 @@ def _said(known: _Known, scaled: bool) -> tuple[str, tuple[str, ...]]:
         factors.append(f"distance of neighbours {1e3 * known.spacing:.4g} mm")
     if known.touch_radius:
         factors.append(f"taxels answer within {1e3 * known.touch_radius:.4g} mm of a touch")
+    factors += ["modules edge to edge"] * tiled + ["surface of the body"] * on_body
     return f"middle at the origin; not determined: {', '.join(free)}", tuple(factors)
 
 

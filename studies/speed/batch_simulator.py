@@ -9,15 +9,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array
-from ..core.errors import SimulationError
-from ..geometry.body import Body
-from .closed_loop_model import ANCHOR, ClosedLoopModel, state_of_pose
-from .integrators import step
-from .machine_code import PATCH, machine_code
-from .point_readings import PointReadings
-from .rollout import FACE_MARGIN, bind
-from .track import IDENTITY_MAP, Track, face_maps, face_margin, map_foot, reference_poses
+from meshskin.core.arrays import Array
+from meshskin.core.errors import SimulationError
+from meshskin.geometry.body import Body
+from meshskin.simulation.closed_loop_model import ANCHOR, ClosedLoopModel, state_of_pose
+from meshskin.simulation.integrators import step
+from meshskin.simulation.machine_code import PATCH, machine_code
+from meshskin.simulation.point_readings import PointReadings
+from meshskin.simulation.rollout import FACE_MARGIN, bind
+from meshskin.simulation.track import (
+    IDENTITY_MAP,
+    Track,
+    face_maps,
+    face_margin,
+    map_foot,
+    reference_poses,
+)
 
 
 class BatchSimulator:

@@ -1,8 +1,7 @@
 """The figure of numbers by name."""
 
 import numpy as np
-
-from meshskin.report.dots import dots
+from dots import dots
 
 
 def test_every_finite_number_is_a_dot_in_its_row():

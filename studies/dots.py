@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from . import theme
+from meshskin.report import theme
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
