@@ -72,7 +72,7 @@ def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
 
     began = command_began()
     if options.seconds is not None:  # before the packages, which take half of the least time
-        check_run_seconds(options.seconds, LEAST_SECONDS * crowding(began))
+        check_run_seconds(options.seconds, LEAST_SECONDS * crowding())
     from ..pipeline import run
     from ..study.sensitivity.request import Request
 

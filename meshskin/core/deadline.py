@@ -26,21 +26,23 @@ STARTED = 0.17
 
 def command_began() -> tuple[float, float]:
     """Wall and processor time, s, at which a command began that begins its work now."""
-    return perf_counter() - STARTED, process_time() - STARTED
+    return perf_counter() - STARTED * crowding(), process_time() - STARTED
 
 
-def crowding(began: tuple[float, float]) -> float:
-    """By how much other processes stretch the time of this command, which `began` then; at least 1.
+def crowding() -> float:
+    """By how much other processes stretch the time of this one; at least 1.
 
-    The least of what it took so far over its processor time, which files that are read the first
-    time make larger, too, and of the processes that want a processor, now and in the last minute.
+    The smaller of two factors: this process's time of running and waiting for a processor over that
+    of running, which Linux counts; and the processes that want a processor for each processor, now
+    and in the last minute. 1 where the system does not count them.
     """
     try:
+        running, waiting = map(int, Path("/proc/self/schedstat").read_text().split()[:2])
         now = int(Path("/proc/loadavg").read_text().split()[3].partition("/")[0])
         wanting = min(now, os.getloadavg()[0]) / (os.cpu_count() or 1)
-    except (OSError, IndexError, ValueError):
+        return max(min(1 + waiting / running, wanting), 1.0)
+    except (OSError, IndexError, ValueError, ZeroDivisionError):
         return 1.0
-    return max(min(Deadline(began=began).slowdown, wanting), 1.0)
 
 
 def check_run_seconds(seconds: float, least: float = LEAST_SECONDS) -> None:

@@ -54,9 +54,10 @@ class OnlineCalibration:
 
     It has the joint estimator's model, unknowns and priors. Each taxel keeps the information of its
     readings, linearized at its estimate; taxels that moved are estimated anew from all their
-    readings, a few in every frame. Then estimates are those of `calibrate` on the same contacts, to
-    1 % of a standard deviation; `settle` does so at once for all that wait. Silent readings are
-    censored at the threshold; outlying readings are left out and counted.
+    readings, a few in every frame. Where none waits for it (`status.waiting`), estimates are those
+    of `calibrate` on the same contacts, to 1 % of a standard deviation; updates without frames go
+    on with those that wait, `settle` estimates them all at once. Silent readings are censored at
+    the threshold; outlying readings are left out and counted.
 
     Verdicts, and the probability of a false alarm at any time of an exploration:
     - "model misfit": a chi-square test of the residuals (1e-3 in all, over all looks), or more than

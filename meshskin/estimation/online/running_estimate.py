@@ -27,12 +27,13 @@ from .information import TaxelInformation
 from .linearization import advance, local_estimator, new_readings, search, summary
 from .store import ContactStore, Part
 
-TOLERANCE = 0.003
+TOLERANCE = 0.001
 """Move of a taxel, in contact radii, of ln gain, or of the global parameters in prior standard
-deviations, from which it is estimated anew. The slopes of its readings change by about as much, and
-the estimate by that part of its standard deviation."""
-SETTLED = TOLERANCE / 10
-"""TOLERANCE of `settle`: it is not pressed for time."""
+deviations, from which it is estimated anew. A move of 0.003 leaves an estimate up to 0.013 of its
+standard deviation from the batch estimate, one of 0.001 up to 0.004, in the same time a frame
+(studies/speed/online.py)."""
+SETTLED = 0.0003
+"""TOLERANCE of `settle`, which is not pressed for time: 0.001 of a standard deviation."""
 MAX_MOVE = 0.5
 """Move up to which a linear estimate is believed until then; `SurfaceParametrization.step`."""
 THRESHOLD_STEP = 0.05

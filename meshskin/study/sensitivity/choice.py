@@ -76,14 +76,17 @@ def choose(
             limit="a first run on wide lanes takes longer",
             remedy="give more seconds",
         ) from error
-    report = REPORT_SECONDS * deadline.slowdown
-    if deadline.left - report < WORTHWHILE * (deadline.spent[0] - began):
-        return least(first, request.words, "no time is left for finer settings")
+    left = deadline.left - REPORT_SECONDS * deadline.slowdown
+    needed = WORTHWHILE * (deadline.spent[0] - began)
+    if left < needed:
+        words = f"finer settings need about {needed:.2g} s more and "
+        words += f"{max(left, 0.0):.2g} s are left"
+        return least(first, request.words, words)
     try:
         measured = pilot(scene, first, request, methods, seed, deadline, progress)
         return _best(scene, measured, first, request)
     except OutOfTime:
-        return least(first, request.words, "no time is left for finer settings")
+        return least(first, request.words, "measuring what finer settings take took too long")
     except StudyError:
         if request.seconds is None:
             raise

@@ -86,6 +86,30 @@ def test_one_by_one_in_another_order_gives_the_same(world, frames, batch):
     assert sigmas_apart(other, batch)[found].max() < 0.01
 
 
+def test_lane_after_lane_it_stays_at_the_batch_estimate(world):
+    """Frame by frame without `settle`, as contacts come in an exploration."""
+    lanes = np.lexsort((world.points[:, 1], np.round(world.points[:, 0] / 5e-3)))[::4]
+    contacts = ms.ContactFrames(world.points[lanes], world.force[lanes])
+    online = run(world, contacts, recorded(world, 1)[lanes], block=1)
+    batch = ms.calibrate(online.recording(), online.belief)
+    assert online.status.waiting == 0
+    assert np.isfinite(online.positions[:, 0]).sum() > 0.95 * len(world.ids)
+    assert np.nanmax(sigmas_apart(online, batch)) < 0.006  # 0.0105 at a TOLERANCE of 0.003
+
+
+def test_frames_without_contacts_catch_up_with_the_batch_estimate(world, frames, batch):
+    """Contacts in random order move more taxels than a frame estimates anew."""
+    online = run(world, *frames, block=1)
+    assert online.status.waiting > 10
+    pause, readings = frames[0].take(slice(0, 0)), frames[1][:0]
+    for _ in range(500):  # 10 s
+        online.update(pause, readings)
+    assert online.status.waiting == 0
+    found = np.isfinite(batch.positions[:, 0])
+    assert np.array_equal(np.isfinite(online.positions[:, 0]), found)
+    assert sigmas_apart(online, batch)[found].max() < 0.006
+
+
 def test_the_final_calibration_is_that_of_the_batch_estimator(online, batch):
     final = online.calibration()
     found = np.isfinite(batch.positions[:, 0])
