@@ -116,7 +116,7 @@ def indenters(options: argparse.Namespace) -> None:
     )
     for one in found:
         print(f"  {'indenter':9} {one}")
-    print(f"  {'indenter':9} recommended: {recommendation(found)}, of the visible surface")
+    print(f"  {'indenter':9} recommended: {recommendation(found)} (of the visible surface)")
 
 
 def patches(found: MeshCheck, names: Mapping[str, Any]) -> None:

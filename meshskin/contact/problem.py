@@ -90,7 +90,7 @@ class ContactProblem:
         ratio = float(width_ratio(axes, np.sort(self.curvature_pair), self.indenter_radius))
         if ratio > MAX_WIDTH:
             raise ContactError(
-                f"the contact is too wide for the parabolic gap of {model}",
+                f"the contact is too wide for the contact model {model}",
                 value=f"a/R = {ratio:.3g} (1/R^2 = 1/r^2 - k/r + k^2)",
                 limit=MAX_WIDTH,
                 remedy=f"lower the force, or raise the modulus or the radii; {FIELD_REMEDY}",

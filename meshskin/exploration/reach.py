@@ -47,7 +47,8 @@ SIZE = attrgetter("radius", "force")
 """What a contact is larger or smaller by."""
 UNDER_SKIN = "under the skin: it bridges the place"
 TOO_WIDE = "no contact model holds anywhere"
-AND_LIGHTER = " and, where it is refused, a half or a quarter of it"
+OR_LESS = " or less"
+"""A half or a quarter of the force, where the whole is refused."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +73,16 @@ class Reach:
         return cls(radius, force, float(np.mean(reasons == "")), parts)
 
     def __str__(self) -> str:
-        forces = f"{self.force:.2g} N{AND_LIGHTER}"
+        forces = f"{self.force:.2g} N{OR_LESS}"
         head = f"{1e3 * self.radius:g} mm reaches {self.share:.0%} with {forces}"
         kinds: dict[str, float] = {}
         for why, part in self.reasons.items():
             kind = why.split(":")[0]
             kinds[kind] = kinds.get(kind, 0.0) + part
-        rest = ", ".join(f"{kind} {part:.0%}" for kind, part in kinds.items())
-        return f"{head} ({rest})" if rest else head
+        rest = (
+            f"{kind} {f'{part:.0%}' if part >= 0.005 else '<1%'}" for kind, part in kinds.items()
+        )
+        return f"{head} (not reached: {', '.join(rest)})" if kinds else head
 
 
 def reach(
@@ -190,8 +193,8 @@ def recommendation(found: Sequence[Reach]) -> str:
         return text
     other = max(others, key=SIZE)
     if other.radius == best.radius:
-        forces = f"{best.force:.2g} N instead of {other.share:.0%} with {other.force:.2g} N"
-        return f"{text} with {forces}, each with a half and a quarter of it where it is refused"
+        text += f" with {best.force:.2g} N{OR_LESS}"
+        return f"{text} instead of {other.share:.0%} with {other.force:.2g} N{OR_LESS}"
     return f"{text} instead of {other.share:.0%} with {1e3 * other.radius:g} mm"
 
 

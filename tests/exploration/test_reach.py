@@ -99,9 +99,16 @@ def test_the_recommended_indenter_is_the_largest_that_reaches_nearly_all():
     lighter = [module.Reach(8e-3, force, share) for force, share in ((3.0, 0.6), (1.5, 0.8))]
     lighter.append(module.Reach(4e-3, 3.0, 0.85))
     words = module.recommendation(lighter)
-    assert words.startswith("8 mm reaches 80% with 1.5 N instead of 60% with 3 N, each with a half")
+    assert words == "8 mm reaches 80% with 1.5 N or less instead of 60% with 3 N or less"
     assert module.recommendation(found[:1]) == "2 mm reaches 50%"
     assert module.recommendation([module.Reach(2e-3, 1.0, 0.0)]) == "none reaches anything"
+
+
+def test_what_is_not_reached_is_in_parts_that_are_never_zero():
+    parts = {"edge: near": 0.031, "edge: far": 0.02, "concave": 0.002}
+    words = str(module.Reach(5e-3, 1.26, 0.947, parts))
+    assert words == "5 mm reaches 95% with 1.3 N or less (not reached: edge 5%, concave <1%)"
+    assert str(module.Reach(5e-3, 1.0, 1.0)) == "5 mm reaches 100% with 1 N or less"
 
 
 def test_a_plan_recommends_an_indenter_that_fits():

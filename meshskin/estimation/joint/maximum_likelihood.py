@@ -67,7 +67,7 @@ WIDENED = (
 ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring contacts"
 USUAL_STEPS = 4
 """Usual steps of an estimate: the start, two linearizations, and a search for second optima."""
-RADIUS = "indenter radius within {:.0%} (1 sigma): its share of the standard deviation of E*"
+RADIUS = "indenter radius within {:.0%} (1 sigma), which widens the standard deviation of E*"
 UNDECLARED_GAINS = "gain and offset of each taxel, undeclared: without them taxels misfit"
 
 

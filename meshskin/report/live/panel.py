@@ -27,7 +27,7 @@ MAX_POINTS = 600
 """Most points of a curve: twice the panel's width in pixels."""
 CHART_HEIGHT = 100
 """Height of a curve, pixels."""
-CHART_PADDING = (8, 8, 0, 0)
+CHART_PADDING = (8, 18, 0, 0)
 """Space above, right, below and left of a curve, pixels: half a number on the axes."""
 LOGARITHMIC = 3
 """uPlot's number of a logarithmic scale."""

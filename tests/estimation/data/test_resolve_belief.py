@@ -67,7 +67,7 @@ def test_where_no_contact_model_holds(world):
     body = ms.Body.ellipsoid((0.1, 0.04, 0.1))
     seen = type(world)(extent=9e-3, body=body, model=ContactModel("elliptic"))
     soft = replace(belief(seen), material=ms.Material(2e3, 0.49))
-    with pytest.raises(ContactError, match="too wide for the parabolic gap of elliptic"):
+    with pytest.raises(ContactError, match="too wide for the contact model elliptic"):
         resolve_belief(soft, seen.record())
 
 
@@ -77,7 +77,7 @@ def test_the_response_is_learned_where_no_contact_model_holds(world):
     recording = seen.record(sigma=0.01, threshold=0.03)
     material = ms.Material(0.4 * YOUNG, 0.49)
     told = replace(belief(seen, threshold=0.03 * seen.peak_reference), material=material)
-    with pytest.raises(ContactError, match="too wide for the parabolic gap of elliptic"):
+    with pytest.raises(ContactError, match="too wide for the contact model elliptic"):
         gather(recording, told)
     found = ms.calibrate(recording, told)
     assert found.response is not None
