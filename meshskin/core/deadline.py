@@ -14,7 +14,7 @@ from .progress import Progress
 LEAST_SECONDS = 2.0
 """Least time, s, of a run: packages, the smallest body and the report alone take as long."""
 IMPORT_SECONDS = 0.9
-"""The part of it, s, that the packages take."""
+"""The part of LEAST_SECONDS that importing the packages takes, s."""
 REPORT_SECONDS, PAGE_SECONDS, FIGURE_SECONDS = 2.0, 0.3, 0.8
 """Usual processor time, s, of a report with all figures (docs, speed), of metrics and a page
 without figures, and of a page with the first one, for which the drawing library is loaded."""
@@ -25,15 +25,16 @@ STARTED = 0.17
 
 
 def command_began() -> tuple[float, float]:
-    """Wall and processor time, s, at which a command began that begins its work now."""
+    """Wall and processor time, s, at which the command began that now starts its work."""
     return perf_counter() - STARTED, process_time() - STARTED
 
 
 def crowding(began: tuple[float, float]) -> float:
-    """By how much other processes stretch the time of this command, which `began` then; at least 1.
+    """Factor by which other processes lengthen a command that `began` then; at least 1.
 
-    The least of what it took so far over its processor time, which files that are read the first
-    time make larger, too, and of the processes that want a processor, now and in the last minute.
+    The smallest of three: the wall time of the command over its processor time (which a first
+    reading of files enlarges, too), and the runnable processes per processor, now and on average
+    over the last minute.
     """
     try:
         now = int(Path("/proc/loadavg").read_text().split()[3].partition("/")[0])

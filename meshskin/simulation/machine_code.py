@@ -24,7 +24,8 @@ FLAGS = (*codegen.FLAGS, "-fno-trapping-math", *codegen.fma_flags())
 PATCH, MAP = 3 * len(POWERS), 6
 """Lengths of a flattened surface patch and of a face map."""
 MIN_AREA = 1e-24
-"""Squared contact radius, m^2, that is used without contact, where it would be 0: (1 pm)^2."""
+"""Squared contact radius, m^2, that is used where there is no contact, to avoid a division by zero:
+(1 pm)^2."""
 MIN_COMPILED_STEPS = 15_000
 """Steps of a run from which on it is compiled. Machine code saves 18 to 21 us of processor time a
 step, 0.3 s of 15,000 steps, against 0.55 s that the compiler takes once with a Puma 560: with so
