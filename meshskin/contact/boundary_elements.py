@@ -32,8 +32,8 @@ COARSE_CELLS = 48
 MAX_ITERATIONS = 500
 """Most iterations of the conjugate gradients: 24 at a ratio of curvatures of 21."""
 MAX_RADIUS_RATIO = 0.8
-"""Largest semi-axis, in indenter radii: beyond, the flank of the sphere is too steep for a gap that
-is measured along the normal."""
+"""Largest semi-axis, in indenter radii. Beyond it the flank of the sphere is too steep for a gap
+measured along the normal."""
 GRID_MARGIN = 1.12
 """Half the side of the grid in semi-axes: five cells beyond the edge of the patch."""
 

@@ -20,7 +20,7 @@ from ..core.arrays import Array
 
 PROFILE_SIZE = 14
 """Coefficients of a profile: intervals of a sixth of the patch's semi-axis at an extent of 2.5,
-finer than any profile that the mean over a taxel's disc leaves."""
+finer than any profile that remains after the mean over a taxel's disc."""
 
 
 @functools.cache

@@ -81,7 +81,7 @@ class Indentation:
 
     def lighter_patch(self, name: str, curvature: Array) -> Patch:
         """`first_patch` under the force, or under the first of its LIGHTER parts under which there
-        is one. Raises ContactError, of the force, where there is none.
+        is one. Raises the ContactError of the force itself where no part of it has a patch.
         """
         for part in (1.0, *LIGHTER):
             with suppress(ContactError):

@@ -35,8 +35,8 @@ SHEET_SLOPE = 0.5
 normal is the mean of both normals. It is 0 on a surface of constant curvature; 0.5 admits a step of
 half the distance."""
 SHEET_STEP = 1e-3
-"""Distance from that plane, m, that is admitted however near the taxel is: the taxels of a rigid
-module lie above and below a curved surface, on one of 32 mm radius by a millimetre."""
+"""Distance from that plane, m, that is always admitted: the taxels of a rigid module lie above and
+below a curved surface, on one of 32 mm radius by a millimetre."""
 
 
 @dataclass(frozen=True)

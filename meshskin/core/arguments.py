@@ -149,7 +149,8 @@ def replace_fields(config: T, changes: Mapping[str, Any]) -> T:
 
 
 class NamedFields:
-    """Base of dataclasses whose callers misspell keywords: an unknown one names the known ones."""
+    """Base of dataclasses that refuse an unknown keyword with an error that lists the known
+    ones."""
 
     def __new__(cls, *args: Any, **values: Any) -> Self:
         for name in values:

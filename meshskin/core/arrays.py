@@ -37,8 +37,8 @@ def huber_weights(r: Array, sigma: float) -> Array:
 
 
 def robust_sigma(values: Array) -> float:
-    """Standard deviation of normal variables of mean zero by the median of their sizes, which a
-    minority of others hardly changes. values (n,), one or more."""
+    """Standard deviation of normal variables of mean zero, estimated from the median of their
+    absolute values, which a minority of outliers hardly changes. values (n,), one or more."""
     return float(np.median(np.abs(values))) / MAD
 
 
@@ -75,7 +75,8 @@ def means_by_group(
     values: Array, group: NDArray[np.integer], groups: int = 0, weight: Array | None = None
 ) -> Array:
     """Means (m, ...) of the rows of `values` (k, ...) that have the same number in `group` (k,),
-    m as of `sums_by_group`, by default of equal `weight` (k,); NaN where a group has no weight."""
+    with `weight` (k,), by default equal; m as in `sums_by_group`; NaN where a group has no
+    weight."""
     weight = np.ones(len(values)) if weight is None else weight
     axes = (-1, *[1] * (values.ndim - 1))
     total = np.bincount(group, weight, groups).reshape(axes)

@@ -1,9 +1,8 @@
 """Arrow columns of NumPy arrays.
 
-`pyarrow.array`, `pyarrow.table`, `pyarrow.dataset` and `to_numpy` import pandas where it is
-installed, which takes half a second of a run that needs no pandas; a cast imports
-`pyarrow.compute`. So columns on the way of every run are made of the memory of NumPy arrays, and
-read as such.
+`pyarrow.array`, `pyarrow.table`, `pyarrow.dataset` and `to_numpy` import pandas if it is installed,
+which takes half a second; a cast imports `pyarrow.compute`. To avoid both, the columns that every
+run uses are made from the memory of NumPy arrays, and read as such.
 """
 
 from __future__ import annotations

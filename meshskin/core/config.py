@@ -23,9 +23,9 @@ from .errors import ConfigError, UnknownNameError
 
 T = TypeVar("T")
 TYPE_NAMES: dict[type, str] = {str: "text in quotes", bool: "true or false"}
-"""Types of fields without a unit that `from_table` checks, in the words of TOML."""
+"""Types of fields without a unit that `from_table` checks, as error messages name them."""
 ANY_LENGTH = -1
-"""Length of a tuple that may have any."""
+"""Length of a tuple of any length."""
 
 UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6},

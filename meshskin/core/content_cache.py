@@ -1,7 +1,7 @@
 """A cache of function results by the content of their argument, not by its identity.
 
 Each case of a study and each seed of a scene makes an arm and a closed loop of its own. The
-compiled functions that follow from them are equal, and take longer to build than to run.
+functions compiled for them are equal, and take longer to build than to run.
 """
 
 from __future__ import annotations

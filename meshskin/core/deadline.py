@@ -14,7 +14,7 @@ from .progress import Progress
 LEAST_SECONDS = 2.0
 """Least time, s, of a run: packages, the smallest body and the report alone take as long."""
 IMPORT_SECONDS = 0.9
-"""The part of it, s, that the packages take."""
+"""The part of LEAST_SECONDS that importing the packages takes, s."""
 REPORT_SECONDS, PAGE_SECONDS, FIGURE_SECONDS = 2.0, 0.3, 0.8
 """Usual processor time, s, of a report with all figures (docs, speed), of metrics and a page
 without figures, and of a page with the first one, for which the drawing library is loaded."""
@@ -25,16 +25,16 @@ STARTED = 0.17
 
 
 def command_began() -> tuple[float, float]:
-    """Wall and processor time, s, at which a command began that begins its work now."""
+    """Wall and processor time, s, at which the command began that now starts its work."""
     return perf_counter() - STARTED * crowding(), process_time() - STARTED
 
 
 def crowding() -> float:
-    """By how much other processes stretch the time of this one; at least 1.
+    """Factor by which other processes lengthen the time of this one; at least 1.
 
-    The smaller of two factors: this process's time of running and waiting for a processor over that
-    of running, which Linux counts; and the processes that want a processor for each processor, now
-    and in the last minute. 1 where the system does not count them.
+    The smaller of two: this process's time of running and waiting for a processor over that of
+    running, which Linux counts; and the runnable processes per processor, the fewer of now and on
+    average over the last minute. 1 where the system does not count them.
     """
     try:
         running, waiting = map(int, Path("/proc/self/schedstat").read_text().split()[:2])

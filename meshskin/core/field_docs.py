@@ -76,7 +76,7 @@ def limits(field: dataclasses.Field[Any]) -> str:
 def toml_lines(cls: type) -> Iterator[str]:
     """The keys of a dataclass in TOML with their defaults, in the unit that writes them shortest.
 
-    Keys without a default are to be filled in; those whose default is nothing are left out.
+    Keys without a default are marked as required; those whose default is None are left out.
     """
     for field in dataclasses.fields(cls):
         suffixes = UNITS[field.metadata.get("unit", "")]
@@ -120,7 +120,7 @@ class _Docstring:
 
 
 def _default(field: dataclasses.Field[Any]) -> str | None:
-    """The default of a field; of one that is made anew, what makes it."""
+    """The default of a field, or the name of its default factory."""
     if field.default_factory is not MISSING:
         name = getattr(field.default_factory, "__name__", "")
         return "see below" if name == "<lambda>" else f"{name}()"

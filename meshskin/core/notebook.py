@@ -1,7 +1,7 @@
 """What a notebook shows of an object: a card with its numbers and a small picture, and its table.
 
-A card never raises: what cannot be shown is said in words. matplotlib and pandas are imported when
-a picture or a table is asked for.
+A card never raises: it states what cannot be shown, and why. matplotlib and pandas are imported
+when a picture or a table is asked for.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 that is set down on chosen points.
 
 The contacts of a plan are on geodesic lanes over the skin, as far apart along a lane as the lanes
-are. A hand reaches each of them; an arm those to which it can bring the indenter within its joint
-limits and clear of the body, turned about the normal as it must.
+are. A hand reaches all of them. An arm reaches those to which it can bring the indenter within its
+joint limits and without touching the body, at any rotation about the normal.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ sphere all have five or more; with six contacts some have fewer."""
 
 
 def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
-    """The contacts on a scene's taxels by a carried indenter, in the order of a short way.
+    """The contacts on a scene's taxels by a carried indenter, ordered along a short tour.
 
     `Plan.contacts` has one row each: the contact point (px, py, pz), m, and outward normal (nx, ny,
     nz); the pose of the indenter at its force, its centre (x, y, z), m, and quaternion
@@ -82,7 +82,8 @@ def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
 
 
 def _sparse(left_out: dict[int, str], spacing: float) -> str:
-    """How to press taxels that too few contacts are near to, at a spacing, m; "" without any."""
+    """Advice for taxels with too few contacts near them, at a spacing, m, of the contacts; "" if
+    there are none."""
     count = sum(why in SPARSE for why in left_out.values())
     if not count:
         return ""
@@ -104,9 +105,8 @@ def _pressed(
     scene: Scene, rig: ContactRig, hit: Closest, reason: Array, chosen: NDArray[np.bool_],
     force: float,
 ) -> list[Path]:  # fmt: skip
-    """The path over the chosen (k,) contacts that can be made with a force, N; none without any.
-
-    The reasons (k,) of those that cannot are written.
+    """The path over those of the chosen (k,) contacts that can be made with a force, N; None if
+    none can. The reasons (k,) of the others are filled in.
     """
     rows = np.flatnonzero(chosen)
     if not len(rows):

@@ -92,7 +92,7 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
 
 
 def _remedy(why: str, other: str, wide: str) -> str:
-    """What to change where nothing can be explored because of `why`.
+    """Advice where nothing can be explored because of `why`.
 
     The place of the indenter or the body where the arm is the reason; elsewhere the recommended
     contact, `other`, if there is one. Reasons that end in `wide` name a remedy themselves.

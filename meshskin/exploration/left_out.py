@@ -19,8 +19,8 @@ from .pressing import lighter_helps
 ENOUGH = 4
 """Fewest contacts near a taxel for it to count as covered: one more than trilateration needs."""
 NEAR, ASIDE = 0.9, 0.15
-"""How near a taxel contacts count for it, and how far they must spread off a line for it to be
-covered, both relative to the sensing radius."""
+"""Distance within which a contact counts for a taxel, and least spread of the contacts about a line
+for the taxel to be covered, both relative to the sensing radius."""
 
 MANY = 0.1
 """Part of the taxels that are left out because the indenter is refused near them, from which the
@@ -39,8 +39,8 @@ Blocked = tuple[Array, Array]
 
 
 def too_wide(spacing: float, radius: float) -> str:
-    """What to do about lanes, a spacing apart, m, that are too far apart for a sensing radius, m;
-    "" where they are not.
+    """Advice for lanes whose spacing, m, is too large for the sensing radius, m; "" where it is
+    not.
     """
     if spacing <= MAX_SPACING * radius:
         return ""

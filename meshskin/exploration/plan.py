@@ -1,4 +1,4 @@
-"""The entrance of the planner: paths of the contact point over a skin, planned for the arm.
+"""The planner: paths of the contact point over a skin, planned for the arm.
 
 Caps of spheres are explored by the paper's parallels about the skin's axis, as far as the arm can
 turn them; every other skin by geodesic lanes.

@@ -136,8 +136,8 @@ def reach(
 
 def contact_reasons(scene: Scene, radius: float, force: float | None = None) -> tuple[float, Array]:
     """The force, N, of an indenter of `radius`, m, and the reason (n,) at each taxel of a scene why
-    no contact is possible, at this force or a lighter one, "" where one is: as in a plan, but for
-    the arm.
+    no contact is possible, at this force or a lighter one, "" where one is possible. The arm is not
+    considered.
 
     force, N: the scene's if None; less where its patch would be too wide on a plane.
     """

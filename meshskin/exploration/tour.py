@@ -84,7 +84,8 @@ def contact_paths(
 
 
 def _nearest_first(pieces: list[Closest]) -> list[Closest]:
-    """The pieces from the first on, each followed by the nearest left, turned to begin there.
+    """The pieces in order: each is followed by the nearest of the others, reversed where its end is
+    nearer.
 
     Those on the other side of a body come last.
     """

@@ -64,7 +64,8 @@ class Belief(Value, NamedFields):
     threshold: float = quantity("Pa", 0.0, least=0.0)
     """Pressure up to which readings are not recorded, Pa."""
     saturation: float | None = quantity("Pa", None, above=0.0)
-    """End of the sensors' range, Pa; readings from there on are censored. None: no such end."""
+    """Upper end of the sensors' range, Pa; readings at or above it are censored. None: the range
+    has no end."""
     readings: str = PRESSURE
     """Unit of the readings: "pressure", Pa, or "raw": counts or volts of any scale and polarity,
     in which noise_sigma, threshold and saturation are stated, too; the response is learned then."""
@@ -77,14 +78,14 @@ class Belief(Value, NamedFields):
     priors: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations of unknowns before any data, where they are not the defaults."""
     surface_sigma: float = quantity("m", 0.0, least=0.0)
-    """Standard deviation, m, of the real surface about that of `body`, where it is known: of dents,
-    and of a body of another size, on which taxels are displaced along the surface, too; beside it
-    stands what the distances of the contact points from the body show."""
+    """Standard deviation, m, of the real surface about that of `body`, where it is known: from
+    dents, or from a body of another size, on which taxels are displaced along the surface, too. It
+    is added to what the distances of the contact points from the body show."""
     headings: Array | None = None
     """Rotations (m, 3, 3), world from body, of the recording's m contacts; an unknown indenter
     offset needs them. None: those in the recording, if any."""
     contact_motion: ContactMotion | None = None
-    """Unknowns of the robot that move the recording's m contacts; None: there are none."""
+    """Unknowns of the robot that move the recording's m contacts; None: none of them does."""
     module_slots: Array | None = None
     """Positions (slots, 3) of a rigid module's taxels in the module's frame, m (z = outward
     normal); taxel ids are then slots * module + slot. None: the taxels are independent."""

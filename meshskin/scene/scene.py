@@ -114,7 +114,8 @@ class Scene(Value, NamedFields, Card):
     def __post_init__(self) -> None:
         if self.arm is None:
             raise ConfigError(
-                "a scene without an arm",
+                "scene.arm must be an Arm",
+                value="None",
                 remedy="omit it for the default arm, which a quasi-static loop does not use",
             )
         for name, kind in PARTS.items():
@@ -239,8 +240,9 @@ class Scene(Value, NamedFields, Card):
 
     @cached_property
     def pressed_patch(self) -> Patch:
-        """`patch`, or where there is none that under a half or a quarter of the force, with which
-        plans then press. Raises ContactError where there is none of these."""
+        """`patch`; where the model does not hold under the reference force, the patch under a half
+        or a quarter of it, with which plans then press. Raises ContactError where it holds under
+        none of them."""
         return self.indentation.lighter_patch(self.model.name, self._middle_first)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Samplers: recordings of contacts at points that are chosen one set after the other.
+"""Samplers: recordings of contacts at points that are chosen set by set.
 
 The contacts are static or by the closed loop. A sampler keeps its effects from call to call, so
 that drift and hysteresis continue.

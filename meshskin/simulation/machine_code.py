@@ -1,6 +1,6 @@
-"""The closed loop's step and the taxels' readings as machine code: many steps a call.
+"""The closed loop's step as machine code: many steps a call.
 
-CasADi generates C for the step; steps.c and readings.c hold the loops around it.
+CasADi generates C for the step; steps.c holds the loop around it.
 """
 
 from __future__ import annotations
@@ -23,8 +23,6 @@ from .integrators import step
 FLAGS = (*codegen.FLAGS, "-fno-trapping-math", *codegen.fma_flags())
 PATCH, MAP = 3 * len(POWERS), 6
 """Lengths of a flattened surface patch and of a face map."""
-MIN_AREA = 1e-24
-"""Squared contact radius, m^2, that is used without contact, where it would be 0: (1 pm)^2."""
 MIN_COMPILED_STEPS = 15_000
 """Steps of a run from which on it is compiled. Machine code saves 18 to 21 us of processor time a
 step, 0.3 s of 15,000 steps, against 0.55 s that the compiler takes once with a Puma 560: with so
@@ -34,7 +32,7 @@ _INT, _REAL, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 
 class MachineCode:
-    """Compiled steps over surface patches (faces, 21, 3), and compiled readings of taxels."""
+    """Compiled steps over surface patches (faces, 21, 3)."""
 
     def __init__(self, library: ctypes.CDLL, step: ca.Function, patches: Array) -> None:
         library.steps.restype = _INT
@@ -72,14 +70,6 @@ class MachineCode:
         )  # fmt: skip
         return done
 
-    def read(self, taxels: Array, outputs: Array, out: Array) -> None:
-        """Fill `out` (k, taxels) with the pressures, Pa, of `outputs` (k, m) at `taxels`
-        (3, taxels), m, body frame."""
-        assert all(a.flags.c_contiguous for a in (taxels, outputs, out))
-        read = self._library.read_double if out.dtype == np.float64 else self._library.read_float
-        addresses = (_POINTER(a.ctypes.data) for a in (taxels, outputs, out))
-        read(_INT(len(outputs)), _INT(taxels.shape[1]), *addresses)
-
 
 def machine_code(
     loop: ClosedLoopModel, patches: Array, compile_: str, steps: float
@@ -104,7 +94,7 @@ def machine_code(
 
 @cached_by_content
 def source(loop: ClosedLoopModel) -> str:
-    """C source of a loop's step over many states, and of the readings."""
+    """C source of a loop's step over many states."""
     function = step(loop)
     inputs: Any = [
         ca.SX.sym(name, *shape)
@@ -122,10 +112,6 @@ def source(loop: ClosedLoopModel) -> str:
     rows: dict[str, float] = {name.upper(): s.start for name, s in loop.outputs.items()}
     sizes: dict[str, float] = {"STATE": function.size1_in(0), "OUTPUT": function.size1_out(1)}
     sizes |= {"REFERENCE": REFERENCE, "PATCH": PATCH, "MAP": MAP, "PARAMETERS": PARAMETERS}
-    after, read = (
-        Path(__file__).with_name(name).read_text(encoding="utf-8")
-        for name in ("steps.c", "readings.c")
-    )
-    sizes["MIN_AREA"] = MIN_AREA
+    steps = Path(__file__).with_name("steps.c").read_text(encoding="utf-8")
     layout = [f"#define {name} {value}" for name, value in (rows | sizes).items()]
-    return "\n".join([codegen.INLINE, codegen.c_source(flat), *layout, after, read])
+    return "\n".join([codegen.INLINE, codegen.c_source(flat), *layout, steps])

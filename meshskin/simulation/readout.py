@@ -37,7 +37,7 @@ def contact_frames(
     """The contacts at the times when the skin is read, among consecutive steps.
 
     before: number of steps of the run before these. Contacts that are outside the contact model's
-    range at their own force are left out: what the skin would read is not known.
+    range at their own force are left out: the reading of the skin is not defined there.
     """
     outputs, rows = np.concatenate([s.outputs for s in batch]), loop.outputs
     frame = (before + np.arange(len(outputs))) % scene.frame_steps == 0

@@ -48,8 +48,6 @@ class Steps:
     """Phase of the exploration, an index of state_machine.PHASES."""
     reference: float
     """Reference contact force, N."""
-    readings: Array | None = None
-    """Point pressures (k, taxels), Pa, where they were asked for."""
 
 
 def bind(

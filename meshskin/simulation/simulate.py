@@ -19,7 +19,6 @@ import pyarrow as pa
 from .. import effects
 from ..core import arrow
 from ..core.arguments import check_type
-from ..core.arrays import Array
 from ..core.errors import ConfigError, SkinError, warn_left_out
 from ..core.progress import Progress, Stage
 from ..core.provenance import provenance
@@ -164,15 +163,12 @@ def _unreachable(path: ExplorationPath) -> dict[str, str]:
     return {str(taxel): reason for taxel, reason in path.unreachable.items()}
 
 
-def prepare(
-    scene: Scene, taxels: Array | None = None, path: ExplorationPath | None = None
-) -> tuple[Simulator, ExplorationPath]:
+def prepare(scene: Scene, path: ExplorationPath | None = None) -> tuple[Simulator, ExplorationPath]:
     """The simulator at the start of the scene's exploration, and the path that it will follow.
 
-    taxels (n, 3), body frame, m: read these at every step; path: follow this one instead of the
-    scene's own. Raises ReachError if the arm cannot follow the path, ConfigError for a path with
-    another step than the loop's, SkinError for a skin off the body, SimulationError for a step that
-    is too long.
+    path: follow this one instead of the scene's own. Raises ReachError if the arm cannot follow the
+    path, ConfigError for a path with another step than the loop's, SkinError for a skin off the
+    body, SimulationError for a step that is too long.
     """
     _check(scene, path)
     if scene.indenter.carried_by is not None:
@@ -195,7 +191,6 @@ def prepare(
         path.points[0],
         compile_=scene.loop.compile,
         steps=len(path.points),
-        taxels=taxels,
     )
     at_rest = path.references[0] * ([1.0] * 12 + [0.0] * 6)
     stability.check_step(simulator, rest, at_rest)

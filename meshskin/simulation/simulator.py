@@ -23,7 +23,6 @@ from .closed_loop_model import (
 )
 from .integrators import step
 from .machine_code import machine_code
-from .point_readings import PointReadings
 from .rollout import FACE_MARGIN, CompiledRollout, InterpretedRollout, Rollout, Steps
 from .track import IDENTITY_MAP, Track, face_maps, face_margin, map_foot
 
@@ -38,7 +37,7 @@ class Simulator:
 
     Starts at rest in the configuration `start` (joint angles, or position and quaternion of the
     body) with the foot point near `point` (3,), body frame, m. `compile_` and `steps`: see
-    machine_code. taxels (n, 3), body frame, m: read them all at every step.
+    machine_code.
     """
 
     def __init__(
@@ -50,7 +49,6 @@ class Simulator:
         *,
         compile_: str = "never",
         steps: float = 0.0,
-        taxels: Array | None = None,
     ) -> None:
         self.body, self.loop = body, loop
         self.function = step(loop)
@@ -58,7 +56,6 @@ class Simulator:
         self.rollout: Rollout = (
             InterpretedRollout(loop, body.surface) if code is None else CompiledRollout(code)
         )
-        self.readings = None if taxels is None else PointReadings(loop, taxels, code=code)
         self.size = len(start)
         """Length n of a configuration."""
         self.state = np.zeros(self.function.size1_in(0))
@@ -144,9 +141,8 @@ class Simulator:
             self._relocate()
         elif self._off_path:
             self._rejoin(int(track.faces[count - 1]))
-        readings = None if self.readings is None else self.readings(outputs)
         self.seconds += perf_counter() - started
-        return Steps(time, q, outputs, phase, self.force_reference, readings)
+        return Steps(time, q, outputs, phase, self.force_reference)
 
     def is_clear(self, poses: Array, leaving: bool = False) -> bool:
         """Whether the body at T_w_b (k, 4, 4) nowhere meets the indenter.

@@ -201,7 +201,7 @@ class ExplorationStateMachine:
     def _travel(self, track: Track | None, goal: Track) -> Iterator[Steps]:
         """Lift off the end of a track, if any, and move to above the start of the next.
 
-        Raises PlaceError, or ReachError with an arm, where there is no way.
+        Raises PlaceError, or ReachError with an arm, where no path through the air is found.
         """
         if not self.simulator.loop.joints:
             yield from self._float(self._above(goal.references[0]))

@@ -94,7 +94,7 @@ class SurfaceContact:
 def surface_contact(
     anchor: ca.SX, uv: ca.SX, centre: ca.SX, p: Parameters, model: ContactModel, newton: int = 1
 ) -> SurfaceContact:
-    """The contact of an indenter centreed at `centre` (3,), body frame, m.
+    """The contact of an indenter centred at `centre` (3,), body frame, m.
 
     anchor (69,): see closed_loop_model.ANCHOR; uv (2,): the previous foot point. newton: number of
     Newton steps from there to the new foot point; one suffices for a method of order 1.

@@ -262,7 +262,7 @@ def _positions(skin: Skin, name: str) -> tuple[Ids, Array]:
     order = order[np.isfinite(skin.positions[order]).all(axis=1)]
     ids = np.asarray(skin.ids[order], dtype=np.int64)
     if len(ids) < 3:
-        raise SkinError(f"taxels of skin {name}", value=len(ids), limit=">= 3")
+        raise SkinError(f"skin {name} has too few taxels", value=len(ids), limit="at least 3")
     return ids, np.asarray(skin.positions[order])
 
 

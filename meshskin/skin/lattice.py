@@ -69,7 +69,7 @@ class Lattice:
     def joined(self, other: Lattice) -> Lattice:
         """These sites and those of another lattice. Raises SkinError for too many."""
         if len(self) + len(other) > MAX_SITES:
-            raise SkinError("sites of a lattice", value=len(self) + len(other), limit=MAX_SITES)
+            raise SkinError("too many taxels", value=len(self) + len(other), limit=MAX_SITES)
         return Lattice(
             Closest.concatenate([self.at, other.at]),
             np.concatenate([self.tangent, other.tangent]),
@@ -93,7 +93,7 @@ def first_site(
     """
     centre = region.centre(body)
     if not region.contains(body, centre)[0]:
-        raise SkinError("a region without surface", value=region, remedy="move or widen it")
+        raise SkinError("the region contains no surface", value=region, remedy="move or widen it")
     tangent, side, _ = np.moveaxis(orthonormal_basis(centre.normal), 2, 0)
     a, b = rng.uniform(-0.5, 0.5, size=2)
     angle = rng.uniform(0.0, np.pi / 3.0)

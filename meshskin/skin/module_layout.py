@@ -8,8 +8,8 @@ overlap another there is a gap. So a whole region is also laid out by packing, a
 more modules is taken.
 
 Packing places modules on the triangles of a relaxed lattice, which distributes the excess over the
-whole surface: modules overlap a little everywhere, and pushing each pair apart settles nearly all.
-Where some overlap when the layout no longer improves, the most crowded are removed.
+whole surface: modules overlap a little everywhere, and pushing each pair apart removes nearly all
+overlaps. If some remain when the layout no longer improves, the most crowded modules are removed.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ REMOVED = 80
 def module_poses(
     body: Body, count: int | None, spacing: float, region: regions.Region, seed: int
 ) -> Array:
-    """Poses (m, 4, 4) T_b_module of `Skin.modules`, which see. Raises SkinError."""
+    """Poses (m, 4, 4) T_b_module of the modules of `Skin.modules`; arguments as there. Raises
+    SkinError."""
     least = slots.SIDE / np.sqrt(3.0)
     check_real("spacing of modules", spacing, "m", least=least, error=SkinError)
     if count is not None:
@@ -65,10 +66,10 @@ def module_poses(
         poses = max((_fill(body, region, first, spacing, p) for p in layouts), key=len)
     if len(poses) < (count or 1):
         raise SkinError(
-            "number of modules",
-            value=count or 1,
-            limit=f"the {len(poses)} that fit the region",
-            remedy="a larger region, or one that is less curved",
+            "the modules do not fit the region",
+            value=f"{count or 1} modules",
+            limit=f"{len(poses)} fit",
+            remedy="give fewer modules, or a region that is larger or less curved",
         )
     distance = regions.arc_length(region.centre(body), body.closest(poses[:, :3, 3]))
     return np.asarray(poses[np.argsort(distance, kind="stable")[:count]])
@@ -120,7 +121,7 @@ class _Layout:
             self.poses.append(pose)
             added.append(pose)
             if len(self.poses) > MAX_MODULES:
-                raise SkinError("number of modules", value=len(self.poses), limit=MAX_MODULES)
+                raise SkinError("too many modules", value=len(self.poses), limit=MAX_MODULES)
         return np.array(added).reshape(-1, 4, 4)
 
     def free(self, points: Array) -> Index:

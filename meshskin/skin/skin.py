@@ -173,7 +173,7 @@ class Skin(Value, Card, Tabular):
         """
         check_type(Body, body, "the body of a skin")
         if spacing is None and count is None:
-            raise SkinError("a layout without spacing and count", remedy="give one or both")
+            raise SkinError("a skin needs a spacing or a count", remedy="give one or both")
         if count is not None:
             most = MAX_TAXELS
             count = check_integer("number of taxels", count, least=1, most=most, error=SkinError)
@@ -215,7 +215,9 @@ class Skin(Value, Card, Tabular):
         Raises SkinError.
         """
         if units not in UNITS:
-            raise SkinError("units of a skin file", value=repr(units), limit=f"one of {[*UNITS]}")
+            raise SkinError(
+                "unknown unit of a skin file", value=repr(units), limit=f"one of {[*UNITS]}"
+            )
         table = files.read(Path(path), part)
         table = table.take(table.is_taxel())
         table = replace(table, positions=UNITS[units] * table.positions)
@@ -328,7 +330,8 @@ class Modules(Value):
         numbers = np.unique(slots.module(skin.ids))
         if not slots.is_modular(skin.ids):
             raise SkinError(
-                "a skin that is not of modules with ten taxels", limit="12 * module + slot"
+                "the skin does not consist of modules with ten taxels",
+                limit="ids of the form 12 * module + slot",
             )
         order = np.argsort(skin.ids)
         points = skin.positions[order].reshape(len(numbers), len(slots.TAXELS), 3)

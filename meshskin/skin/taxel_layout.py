@@ -57,8 +57,8 @@ def sites(
         return found
     if len(found) < count:
         raise SkinError(
-            "number of taxels", value=count, limit=f"the {len(found)} that fit the region",
-            remedy="a smaller spacing or a larger region",
+            "the taxels do not fit the region", value=f"{count} taxels", limit=f"{len(found)} fit",
+            remedy="give a smaller spacing or a larger region",
         )  # fmt: skip
     return found.take(np.argsort(found.arc_length, kind="stable")[:count])
 
@@ -67,17 +67,17 @@ def _check_spacing(body: Body, spacing: float, disc_radius: float) -> None:
     """Raise SkinError for a spacing below the discs' diameter, or above the body's size."""
     if not (np.isfinite(spacing) and 2.0 * disc_radius <= spacing):
         raise SkinError(
-            "spacing of taxels",
+            "the spacing of taxels is too small",
             value=f"{spacing * 1e3:g} mm",
-            limit=f">= {2e3 * disc_radius:g} mm, the discs' diameter",
-            remedy="a larger spacing or a smaller disc_radius",
+            limit=f"at least {2e3 * disc_radius:g} mm, the discs' diameter",
+            remedy="give a larger spacing or a smaller disc_radius",
         )
     if spacing > body.surface.scale:
         raise SkinError(
-            "spacing of taxels",
+            "the spacing of taxels is larger than the body",
             value=f"{spacing * 1e3:g} mm",
-            limit=f"the body's {body.surface.scale * 1e3:g} mm",
-            remedy="lengths are in m",
+            limit=f"{body.surface.scale * 1e3:g} mm",
+            remedy="give it in m",
         )
 
 

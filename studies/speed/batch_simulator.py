@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from point_readings import PointReadings
 
 from meshskin.core.arrays import Array
 from meshskin.core.errors import SimulationError
@@ -15,7 +16,6 @@ from meshskin.geometry.body import Body
 from meshskin.simulation.closed_loop_model import ANCHOR, ClosedLoopModel, state_of_pose
 from meshskin.simulation.integrators import step
 from meshskin.simulation.machine_code import PATCH, machine_code
-from meshskin.simulation.point_readings import PointReadings
 from meshskin.simulation.rollout import FACE_MARGIN, bind
 from meshskin.simulation.track import (
     IDENTITY_MAP,
@@ -71,7 +71,7 @@ class BatchSimulator:
             )
         self._reader = None
         if taxels is not None:
-            self._reader = PointReadings(loop, taxels, np.float32, self._code)
+            self._reader = PointReadings(loop, taxels, np.float32, self._code is not None)
         self.readings = None if taxels is None else np.zeros((count, len(taxels)), np.float32)
         """Point pressures (count, taxels) of the last step, Pa, where they were asked for."""
         self.steps = 0

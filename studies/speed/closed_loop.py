@@ -21,6 +21,7 @@ from time import process_time
 import numpy as np
 import results
 from batch_simulator import BatchSimulator
+from point_readings import PointReadings
 
 import meshskin as ms
 from meshskin.geometry.region import Cap
@@ -63,14 +64,14 @@ def cap() -> Cap:
 def loop_case(scene: ms.Scene, mode: str, compile_: str) -> Callable[[], float]:
     """Steps a second of the closed loop over the scene's exploration, all taxels read."""
     scene = scene.with_(loop=replace(scene.loop, mode=mode, compile=compile_))
-    simulator, path = prepare(scene, taxels=scene.skin.positions)
+    simulator, path = prepare(scene)
+    read = PointReadings(simulator.loop, scene.skin.positions, compiled=compile_ == "always")
 
     def rate() -> float:
         simulator.reset()
         started = process_time()
         for steps in run(scene, simulator, path):
-            assert steps.readings is not None
-            assert steps.readings.shape == (len(steps.time), len(scene.skin.ids))
+            assert read(steps.outputs).shape == (len(steps.time), len(scene.skin.ids))
         return simulator.steps / (process_time() - started)
 
     return rate

@@ -1,20 +1,17 @@
-"""The simulator: runs across faces, strays and comes back, says what went wrong, reads taxels."""
+"""The simulator: runs across faces, strays and comes back, says what went wrong."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from meshskin.contact import hertz
 from meshskin.core import codegen as module
 from meshskin.core.errors import ConfigError, SimulationError
 from meshskin.geometry.body import Body
 from meshskin.scene.settings import Loop as LoopTable
 from meshskin.simulation.closed_loop_model import ClosedLoopModel
 from meshskin.simulation.machine_code import machine_code
-from meshskin.simulation.point_readings import PointReadings
 from meshskin.simulation.simulate import prepare, run
-from meshskin.simulation.simulator import Simulator
 from meshskin.simulation.track import IDENTITY_MAP, Track, face_maps
 
 needs_compiler = pytest.mark.skipif(module.find_compiler() is None, reason="no C compiler here")
@@ -68,13 +65,13 @@ def test_crossings_carry_a_point_of_the_common_edge_exactly():
 
 @pytest.fixture(scope="module")
 def compiled(sphere):
-    """A simulator of the paper's scene in machine code that reads all taxels, by mode."""
+    """A simulator of the paper's scene in machine code, by mode."""
     made = {}
 
     def get(mode="arm"):
         if mode not in made:
             scene = sphere.with_(loop=replace(sphere.loop, mode=mode, compile="always"))
-            made[mode] = prepare(scene, taxels=sphere.skin.positions)
+            made[mode] = prepare(scene)
         made[mode][0].reset()
         return made[mode]
 
@@ -89,19 +86,6 @@ def test_compiled_and_interpreted_agree_to_the_last_digits(prepared, compiled, s
     one, other = (outputs(sphere, m, path, 1000) for m in (simulator, fast))
     # fused multiply-add rounds once where the interpreter rounds twice
     assert (np.abs(one - other) <= 5e-12 * np.abs(one).max(axis=0)).all()
-
-
-@needs_compiler
-def test_compiled_readings_are_those_of_numpy(compiled, sphere):
-    simulator, path = compiled()
-    found = outputs(sphere, simulator, path, 2000)
-    taxels = np.vstack([sphere.skin.positions, -sphere.skin.positions])
-    slow = PointReadings(simulator.loop, taxels)(found)
-    for dtype, error in ((np.float64, 1e-9), (np.float32, 1e-3)):
-        fast = PointReadings(simulator.loop, taxels, dtype, simulator.readings._code)(found)
-        assert fast.dtype == dtype
-        np.testing.assert_allclose(fast, slow, atol=error * slow.max())
-    assert np.count_nonzero(slow) > 1000
 
 
 @needs_compiler
@@ -164,26 +148,6 @@ def test_a_number_that_is_not_finite_never_leaves_the_loop(prepared, sphere):
     simulator.state[3] = np.nan
     with pytest.raises(SimulationError, match=r"diverged at t = 0.0000 s, q = .*nan"):
         simulator.advance(Track.of(path, sphere.body.surface).hold(0, 32), 0)
-
-
-def test_point_readings_are_hertz_in_the_tangent_plane(prepared, sphere):
-    simulator, path = prepared("quasi_static")
-    x = sphere.skin.positions
-    reader = Simulator(
-        sphere.body, simulator.loop, simulator.start, path.points[0], taxels=np.vstack([x, -x])
-    )
-    for steps in run(sphere, reader, path):
-        if steps.phase == 3:
-            break
-    k = len(steps.time) // 2
-    point, normal, force = steps.outputs[k, :3], steps.outputs[k, 3:6], steps.outputs[k, 6]
-    offset = x - point
-    r = np.linalg.norm(offset - np.outer(offset @ normal, normal), axis=1)
-    a = hertz.contact_radius(force, 1 / 110, simulator.loop.effective_modulus)
-    expected = 1.5 * force / (np.pi * a**2) * np.sqrt(np.maximum(1 - (r / a) ** 2, 0))
-    assert np.count_nonzero(expected) > 1
-    np.testing.assert_allclose(steps.readings[k, :80], expected, atol=1e-4 * expected.max())
-    assert not steps.readings[:, 80:].any()  # the far side of the body
 
 
 def test_wrong_choices_of_the_loop_are_named(prepared):

@@ -236,7 +236,7 @@ def test_parts_of_a_skin(plain):
 
 
 def test_skins_that_cannot_be_compared(plain):
-    with pytest.raises(SkinError, match="taxels of skin B, got 2"):
+    with pytest.raises(SkinError, match="skin B has too few taxels, got 2"):
         compare(plain, Skin(plain.poses[:2], plain.ids[:2]))
     with pytest.raises(SkinError, match="ids of a skin must be distinct"):
         compare(Skin(plain.poses, np.zeros(80, dtype=np.int64)), plain)

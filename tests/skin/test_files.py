@@ -144,7 +144,7 @@ def test_a_position_file_in_millimetres_with_constant_normals_is_put_on_a_body(t
         SkinError, match=r"taxel \d+ is too far from the surface of sphere.*units='mm'"
     ):
         Skin.load(tmp_path / "mm.txt").onto(ball)
-    with pytest.raises(SkinError, match="units of a skin file, got 'km'"):
+    with pytest.raises(SkinError, match="unit of a skin file, got 'km'"):
         Skin.load(tmp_path / "mm.txt", units="km")
     placed = Skin.load(tmp_path / "mm.txt", units="mm").onto(ball)
     np.testing.assert_allclose(placed.normals, skin.normals, atol=1e-6)
@@ -254,7 +254,7 @@ def test_a_frame_at_gimbal_lock_is_read_back(tmp_path, pitch):
         ("name x\n[calibration]\n", "holds no taxels"),
         ("name x\n[calibration]\n1 2 3\n", "line 3, got 3 numbers"),
         ("1 2 3 4 5 6\n1 2 3 4 5 six\n", "line 2.*six"),
-        ("1 2 nan 4 5 6\n", "taxel 0, limit: finite"),
+        ("1 2 nan 4 5 6\n", "numbers of taxel 0 must be finite"),
         ("<robot", "not XML"),
         ("<robot/>", "has no skin"),
         ("ply\nformat ascii 1.0\nelement vertex 3\nend_header\n", "mesh without taxels"),

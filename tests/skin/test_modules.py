@@ -136,7 +136,7 @@ def test_modules_are_found_from_their_taxels():
     order = np.random.default_rng(0).permutation(len(skin))
     found = Modules.of(Skin(skin.poses[order], skin.ids[order]))
     np.testing.assert_allclose(found.poses, modules.poses, atol=1e-12)
-    with pytest.raises(SkinError, match="not of modules"):
+    with pytest.raises(SkinError, match="does not consist of modules"):
         Modules.of(Skin(skin.poses[1:], skin.ids[1:]))
     spoiled = skin.poses.copy()
     spoiled[13, :3, 3] += 0.01
@@ -150,8 +150,11 @@ def test_modules_are_found_from_their_taxels():
         ({"spacing": 15e-3}, "spacing of modules .* got 0.015 m, limit: at least 0.0173"),
         ({"spacing": float("nan")}, "spacing of modules"),
         ({"count": 0}, "number of modules"),
-        ({"count": 400, "region": HalfSpace((0, 0, 1), 0.07)}, "modules, got 400, limit: the"),
-        ({"region": Disc((0, 0, 0.1), 5e-3)}, "limit: the 0 that fit"),
+        (
+            {"count": 400, "region": HalfSpace((0, 0, 1), 0.07)},
+            "modules do not fit the region, got 400",
+        ),
+        ({"region": Disc((0, 0, 0.1), 5e-3)}, "limit: 0 fit"),
     ],
 )
 def test_impossible_layouts_are_refused(wrong, match):

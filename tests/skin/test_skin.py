@@ -132,9 +132,9 @@ def test_outermost_point_of_a_direction():
 @pytest.mark.parametrize(
     ("wrong", "match"),
     [
-        ({}, "without spacing and count"),
-        ({"spacing": 3e-3}, "spacing of taxels, got 3 mm, limit: >= 4 mm"),
-        ({"spacing": 5.0}, "lengths are in m"),
+        ({}, "a skin needs a spacing or a count"),
+        ({"spacing": 3e-3}, "spacing of taxels is too small, got 3 mm, limit: at least 4 mm"),
+        ({"spacing": 5.0}, "larger than the body, .* give it in m"),
         (
             {"spacing": 20e-3, "count": 5, "disc_radius": 0.0},
             "disc radius of a taxel .* got 0 m, limit: above 0",
@@ -143,11 +143,11 @@ def test_outermost_point_of_a_direction():
         ({"spacing": float("nan")}, "spacing"),
         ({"count": 0}, "number of taxels"),
         ({"count": 50_000}, "spacing of taxels"),
-        ({"spacing": 20e-3, "count": 1000}, "number of taxels, got 1000, limit: the"),
+        ({"spacing": 20e-3, "count": 1000}, "taxels do not fit the region, got 1000 taxels"),
         ({"count": 5, "region": Cap((0, 0, 0))}, "a direction must be finite"),
         ({"count": 5, "region": Faces(())}, "a region needs faces"),
         ({"spacing": 5e-3, "region": Faces((0, 6000))}, "no such face, got 6000, limit: 0 to"),
-        ({"spacing": 5e-3, "region": HalfSpace((0, 0, 1), 0.2)}, "a region without surface"),
+        ({"spacing": 5e-3, "region": HalfSpace((0, 0, 1), 0.2)}, "the region contains no surface"),
     ],
 )
 def test_impossible_layouts_are_refused(ball, wrong, match):
@@ -180,7 +180,11 @@ def edited(path, line, change):
         (3, lambda s: s.replace(s.split(",")[2], "nan"), "taxel line 2"),
         (3, lambda s: s.replace(s.split(",")[2], "east"), "taxel line 2.*east"),
         (3, lambda s: "0" + s[1:], "names a taxel twice, got 0"),
-        (4, lambda s: s.rsplit(",", 1)[0] + ",3.0", "taxel line 3: length of the quaternion"),
+        (
+            4,
+            lambda s: s.rsplit(",", 1)[0] + ",3.0",
+            "taxel line 3: the quaternion must have unit norm",
+        ),
         (0, lambda s: "# disc_radius_m=wide", "disc radius"),
     ],
 )
@@ -220,7 +224,7 @@ def test_ids_beyond_32_bits_are_kept(ball, tmp_path):
     for kind in ("csv", "urdf", "ply", "glb"):
         skin.save(tmp_path / f"skin.{kind}")
         np.testing.assert_array_equal(Skin.load(tmp_path / f"skin.{kind}").ids, ids)
-    with pytest.raises(SkinError, match="id of a taxel in a position file"):
+    with pytest.raises(SkinError, match="a taxel id does not fit a position file"):
         skin.save(tmp_path / "skin.txt")
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from batch_simulator import BatchSimulator
+from point_readings import PointReadings
 
 from meshskin.core import codegen as module
 from meshskin.core.errors import SimulationError
 from meshskin.simulation.closed_loop_model import Parameters
-from meshskin.simulation.point_readings import PointReadings
 from meshskin.simulation.track import Track
 
 

@@ -88,7 +88,7 @@ def check_format(kind: str) -> None:
     """Raise SkinError unless `kind` is one of FORMATS."""
     if kind.lower() not in FORMATS:
         raise SkinError(
-            "format of a skin file", value=kind, remedy=f"formats: {', '.join(FORMATS)}"
+            "unknown format of a skin file", value=kind, remedy=f"known: {', '.join(FORMATS)}"
         )
 
 
@@ -98,7 +98,9 @@ def write(path: Path, kind: str, rows: SkinRows) -> None:
     module = FORMATS[kind]
     if rows.parent is not None and module not in (urdf, urdf_tactile):
         raise SkinError(
-            f"a {kind} file has no parent link", value=rows.parent, remedy="write urdf, or none"
+            f"a {kind} file cannot name a parent link",
+            value=rows.parent,
+            remedy="write urdf or urdf_tactile, or omit parent",
         )
     if rows.parent == rows.link:
         raise SkinError("a link cannot be its own parent", value=rows.link)
@@ -108,7 +110,8 @@ def write(path: Path, kind: str, rows: SkinRows) -> None:
             f"taxels without a normal cannot be written to a {kind} file",
             value=bare,
             limit="0",
-            remedy="a position file (.txt), or take the normals from the body: skin.onto(body)",
+            remedy="write a position file (.txt), or take the normals from the body: "
+            "skin.onto(body)",
         )
     content = module.write(rows)
     with atomic(path) as temporary:

@@ -73,7 +73,7 @@ def write(skin: SkinRows) -> str:
     for worst in (int(ids.min()), int(ids.max())):
         if not 0 <= worst < MAX_SLOTS:
             limit = f"0 to {MAX_SLOTS - 1}"
-            raise SkinError("id of a taxel in a position file", value=worst, limit=limit)
+            raise SkinError("a taxel id does not fit a position file", value=worst, limit=limit)
     count = PER_MODULE * (int(ids.max()) // PER_MODULE + 1)
     rows = np.zeros((count, 6))
     rows[ids] = np.nan_to_num(np.column_stack([poses[:, :3, 3], poses[:, :3, 2]]))

@@ -60,7 +60,7 @@ def parse(text: str, name: str) -> tuple[Element, ...]:
                 mirror = len(fields) > 6 and int(fields[6]) != 0
             except (ValueError, IndexError) as error:
                 raise SkinError(
-                    f"{name}, line {number}",
+                    f"{name}, line {number} is not an element of a layout",
                     value=repr(line.strip()[:60]),
                     limit="kind number x y orientation gain [mirror]",
                 ) from error

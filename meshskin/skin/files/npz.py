@@ -48,13 +48,21 @@ def read(data: bytes, name: str) -> SkinTable:
     poses = found.get("poses")
     if poses is None or poses.ndim != 3 or poses.shape[1:] != (3, 4):
         value = "none" if poses is None else f"shape {poses.shape}"
-        raise SkinError(f"{name}: poses", value=value, limit="(n, 3, 4)")
+        raise SkinError(f"{name}: poses have the wrong shape", value=value, limit="(n, 3, 4)")
     ids = found.get("ids", np.arange(len(poses)))
     if ids.shape != (len(poses),) or not np.issubdtype(ids.dtype, np.integer):
-        raise SkinError(f"{name}: ids", value=f"shape {ids.shape}", limit=f"({len(poses)},) whole")
+        raise SkinError(
+            f"{name}: ids must be one integer for each pose",
+            value=f"{ids.dtype} of shape {ids.shape}",
+            limit=f"({len(poses)},)",
+        )
     sigmas = found.get("sigma_m")
     if sigmas is not None and sigmas.shape != (len(poses),):
-        raise SkinError(f"{name}: sigma_m", value=f"shape {sigmas.shape}", limit=f"({len(poses)},)")
+        raise SkinError(
+            f"{name}: sigma_m must be one number for each pose",
+            value=f"shape {sigmas.shape}",
+            limit=f"({len(poses)},)",
+        )
     radius = float(found.get("disc_radius_m", DISC_RADIUS))
     frame = str(found["frame"]) if "frame" in found else None
     return SkinTable.of_poses("npz", ids, np.asarray(poses, dtype=float), radius, sigmas, frame)

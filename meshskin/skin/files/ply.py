@@ -52,7 +52,9 @@ def read(text: str, name: str) -> SkinTable:
     head, _, body = text.partition("end_header")
     lines = head.splitlines()
     if "format ascii 1.0" not in lines or "\nelement taxel " not in head:
-        raise SkinError(f"{name} is a mesh without taxels", remedy="a PLY file made by Skin.save")
+        raise SkinError(
+            f"{name} is a mesh without taxels", remedy="give a PLY file made by Skin.save"
+        )
     try:
         count = [int(line.split()[2]) for line in lines if line.startswith("element taxel ")]
         radius = [float(line[len(_COMMENT) :]) for line in lines if line.startswith(_COMMENT)]
@@ -62,11 +64,15 @@ def read(text: str, name: str) -> SkinTable:
             raise ValueError("rows of different lengths: the file is truncated")
         rows = np.array(listed)
     except (ValueError, IndexError) as error:
-        raise SkinError(f"{name}: rows of taxels", value=str(error)) from error
+        raise SkinError(f"{name}: cannot read the rows of taxels", value=str(error)) from error
     known = f"property double {SIGMA}" in lines
     width = 1 + len(NUMBERS) + known
     if rows.shape != (count[0], width):
-        raise SkinError(f"{name}: rows of taxels", value=rows.shape, limit=(count[0], width))
+        raise SkinError(
+            f"{name}: the rows of taxels have the wrong shape",
+            value=rows.shape,
+            limit=(count[0], width),
+        )
     return SkinTable.of_quaternions(
         "ply", rows[:, 0], rows[:, 1:8], (radius or [DISC_RADIUS])[0],
         rows[:, 8] if known else None, next(iter(frame), None),

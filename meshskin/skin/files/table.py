@@ -134,7 +134,7 @@ class SkinTable:
         if not finite.all():
             row = int(np.argmin(finite))
             raise SkinError(
-                f"{name}, taxel line {row + 1}: taxel {self.ids[row]}", limit="finite numbers"
+                f"{name}, taxel line {row + 1}: numbers of taxel {self.ids[row]} must be finite"
             )
         if self.quaternions is not None:
             return se3.transform(self._rotations(name, self.quaternions), self.positions)
@@ -151,8 +151,8 @@ class SkinTable:
         length = np.linalg.norm(quaternions, axis=1)
         row = int(np.argmax(np.abs(length - 1.0)))
         if abs(length[row] - 1.0) > FRAME_TOLERANCE:
-            what = f"{name}, taxel line {row + 1}: length of the quaternion"
-            raise SkinError(what, value=f"{length[row]:.4g}", limit="1")
+            what = f"{name}, taxel line {row + 1}: the quaternion must have unit norm"
+            raise SkinError(what, value=f"{length[row]:.4g}", limit=f"1 within {FRAME_TOLERANCE:g}")
         rotation = Rotation.from_quat(quaternions).as_matrix()
         off = np.linalg.norm(rotation[:, :, 2] - self.normals, axis=1)
         row = int(np.argmax(off))
@@ -194,7 +194,7 @@ def parse_sigmas(texts: Sequence[str | None], where: str) -> Array | None:
 
 
 def parse_numbers(fields: list[str], count: int, where: str, limit: str | None = None) -> Array:
-    """`count` numbers of a file. Raises SkinError, with `where` they stand, for anything else."""
+    """`count` numbers of a file. Raises SkinError for anything else; `where` names their place."""
     try:
         values = np.array([float(field) for field in fields])
     except ValueError as error:
@@ -234,8 +234,7 @@ def chosen_part(part: str | None, parts: Mapping[str, object], name: str) -> str
         return next(iter(parts))
     if part is None or part not in parts:
         raise SkinError(
-            f"part of {name}",
-            value=part,
+            f"{name} has several parts" if part is None else f"{name} has no part {part!r}",
             limit=", ".join(parts),
             remedy="choose one with part= (--part)",
         )
