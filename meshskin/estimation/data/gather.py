@@ -15,7 +15,7 @@ from . import unit_checks
 from .delay import without_delay
 from .global_parameters import declared_parameters
 from .measurements import Measurements, nominal_patches
-from .patch_shape import in_hollows, over_patches
+from .patch_shape import in_hollows, over_edges, over_patches
 from .raw_readings import check_pressures, nominal_pressure, pressures_above_rest
 from .registration import registered
 from .resolve_belief import MAX_INVALID, contact_model, resolve_belief, valid_contacts
@@ -111,6 +111,7 @@ def _measurements(
         learned=learned,
         unit=selected.unit,
         headings=None if headings is None else headings[used],
+        unevenness=np.empty(0) if learned else over_edges(belief, hit, force),
         time=recording.time[used],
         recorded=np.flatnonzero(used),
         left_out=selected.invalid,

@@ -88,6 +88,9 @@ class Measurements:
     contact_errors: Array | None = None
     """Estimated errors (m, 3) of the contacts: displacements along the patches' semi-axes, m, and
     errors of ln F; None: none."""
+    unevenness: Array = field(default_factory=lambda: np.empty(0))
+    """Parts (m,) of the peak pressures by which those of the contacts may differ from the contact
+    model's (`patch_shape.over_edges`); empty: none, or the response is learned."""
     time: Array = field(default_factory=lambda: np.empty(0))
     """Times (m,), s, of the contacts."""
     recorded: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
@@ -279,6 +282,14 @@ class Measurements:
         hit = self.body.closest(self.points)
         hit = replace(hit, curvature=self.curvature, direction=self.directions)
         return unevenness(self.belief, hit, self.force) * self.peaks / self.sigma
+
+    @cached_property
+    def precision(self) -> Array:
+        """Precisions (m,) of a contact's readings, relative to that of the noise: 1, and less where
+        no quadric describes the body within the patch."""
+        if not len(self.unevenness):
+            return np.ones(len(self.points))
+        return np.asarray(1 / (1 + (self.unevenness * self.peaks / self.sigma) ** 2))
 
     @cached_property
     def counts(self) -> np.ndarray:

@@ -52,6 +52,10 @@ QUADRIC = np.linalg.pinv(
     )
 )
 """Matrix (6, k) from the heights at PLACES to the terms of the quadric nearest to them."""
+EDGE = 0.05
+"""Unevenness from which contacts are over an edge. Smooth bodies have less where their curvature
+jumps (0.044 where the caps of bodies/capsule.toml begin) or changes (0.002 on its torus); and the
+contact models themselves hold to some percent of the peak (layered.py)."""
 GRAZING = 1e-6
 """Sine of the elevation over the surface within which a point in a tangent plane is outside of it:
 far above rounding."""
@@ -71,6 +75,15 @@ def unevenness(belief: Belief, hit: Closest, force: Array) -> Array:
     quadric = 0.5 * np.einsum("mc,pc->mp", hit.curvature, rim**2)
     apart = _heights(belief.body, hit, basis, rim) - quadric
     return np.asarray(np.sqrt(np.mean(apart**2, axis=1)) * belief.indenter.radius / size**2)
+
+
+def over_edges(belief: Belief, hit: Closest, force: Array) -> Array:
+    """`unevenness` (m,) of the contacts `hit` that are over an edge of the body, 0 of the others;
+    an exact surface has no edges. force (n,), N: forces, the median of which counts."""
+    if not hasattr(belief.body, "surface") or not len(hit.point):
+        return np.zeros(len(hit.point))
+    found = unevenness(belief, hit, force)
+    return np.where(found > EDGE, found, 0.0)
 
 
 def over_patches(belief: Belief, hit: Closest, force: Array) -> Closest:

@@ -290,7 +290,7 @@ def fitted_readings(estimator: JointEstimator, weight: Array) -> FittedReadings:
     names = data.parameters.nuisance_names
     along = np.einsum("kia,ik->ak", problem.parametrization.charts.tangents[taxel], jacobian[:3])
     offset = nuisance[taxel, names.index("offset")] if "offset" in names else np.zeros(len(mu))
-    weight = np.where(estimator.unconverged[taxel], 0.0, weight)
+    weight = np.where(estimator.unconverged[taxel], 0.0, weight * readings.precision)
     return FittedReadings(
         data=data,
         readings=readings,
@@ -319,7 +319,7 @@ def contact_score(estimator: JointEstimator) -> float:
     jacobian = estimator.likelihood.derivatives(problem.points(state), nuisance, contacts)[-3:]
     used = (readings.kind == OBSERVED) & (readings.weight > 0.5)
     owner = readings.contact[used]
-    product = jacobian[:, used] * estimator.residuals()[used]
+    product = jacobian[:, used] * (np.sqrt(readings.precision) * estimator.residuals())[used]
     found = []
     for rows in (slice(0, 2), slice(2, 3)):
         excess = variance = 0.0

@@ -126,11 +126,12 @@ def stuck_taxels(data: Measurements) -> StuckTaxels:
 
 
 def residuals(readings: Readings, mu: Array, sigma: float) -> Array:
-    """Residuals (k,) in units of the noise; of censored readings the excess over their limit."""
+    """Residuals (k,) in units of their standard deviations by noise and edges; of censored readings
+    the excess over their limit."""
     r = mu - readings.level / sigma
     r[readings.kind == CENSORED] = np.maximum(r[readings.kind == CENSORED], 0.0)
     r[readings.kind == SATURATED] = np.minimum(r[readings.kind == SATURATED], 0.0)
-    return r
+    return r * np.sqrt(readings.precision)
 
 
 def reading_scale(readings: Readings, r: Array) -> float:

@@ -50,6 +50,8 @@ class Readings:
     """Row (k,) of the measurement; -1 for a silent reading."""
     weight: Array
     """Weight (k,); 0 removes a reading."""
+    precision: Array
+    """Precision (k,), relative to that of the noise (`Measurements.precision`)."""
     starts: np.ndarray
     """First reading (n + 1,) of each taxel, and k."""
 
@@ -57,13 +59,24 @@ class Readings:
     def none(cls) -> Readings:
         """No readings of no taxels."""
         rows, values = np.empty(0, dtype=int), np.empty(0)
-        return cls(rows, rows, values, rows, rows, values, np.zeros(1, dtype=int))
+        return cls(rows, rows, values, rows, rows, values, values, np.zeros(1, dtype=int))
 
     def without(self, left_out: np.ndarray) -> Readings:
         """These readings without those `left_out` (k,) bool."""
         starts = np.append(0, np.cumsum(~left_out))[self.starts]
         each = {f.name: getattr(self, f.name)[~left_out] for f in fields(self)[:-1]}
         return Readings(**each, starts=starts)
+
+    @property
+    def total(self) -> Array:
+        """Weight times precision (k,): the factor of each reading's cost."""
+        return self.weight * self.precision
+
+    @property
+    def even(self) -> np.ndarray:
+        """Readings (k,) bool whose noise is larger than what an edge of the body may do to them:
+        their residuals tell of noise and model."""
+        return np.asarray(self.precision > 0.5)
 
     def of(self, taxels: np.ndarray) -> np.ndarray:
         """Rows of the readings of some taxels, in their order."""
@@ -119,6 +132,7 @@ def select(
         kind=np.concatenate([kind, np.full(len(none), CENSORED)]).astype(np.int8)[order],
         source=np.concatenate([mine, none])[order],
         weight=np.concatenate([weight[mine], silent_weight[silent_taxel]])[order],
+        precision=data.precision[contact[order]],
         starts=np.searchsorted(taxel[order], np.arange(len(live) + 1)),
     )
 
@@ -212,7 +226,7 @@ class Likelihood:
             curvature = costs(mu, read.level[part] / self.data.sigma, read.kind[part])[2]
             jacobian = jacobian[: covariance.shape[1]]
             seen = np.einsum("kij,jk->ik", covariance[read.taxel[part]], jacobian)
-            parts.append(read.weight[part] * curvature * np.sum(jacobian * seen, axis=0))
+            parts.append(read.total[part] * curvature * np.sum(jacobian * seen, axis=0))
         return np.concatenate(parts)
 
     def _each(
@@ -233,7 +247,7 @@ class Likelihood:
         owner, starts = np.repeat(np.arange(len(rows)), count), np.cumsum(count) - count
         mu, jacobian = self.predict(read.contact[k], points[owner], nuisance[owner], contacts)
         jacobian = jacobian[: 3 + nuisance.shape[1] + self.shared]
-        level, weight, kind = read.level[k] / self.data.sigma, read.weight[k], read.kind[k]
+        level, weight, kind = read.level[k] / self.data.sigma, read.total[k], read.kind[k]
         cost, rate, curvature = costs(mu, level, kind)
         square = np.where(kind == OBSERVED, (mu - level) ** 2, 0.0)
         hessian = np.empty((len(rows), len(jacobian), len(jacobian)))

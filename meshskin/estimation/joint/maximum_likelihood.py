@@ -313,11 +313,11 @@ def _scale_and_fit(
     """
     data, problem, state = estimator.data, estimator.problem, estimator.state
     readings, r = estimator.likelihood.readings, estimator.residuals()
-    kept = readings.weight - problem.leverages(state, reduced)
+    kept = readings.weight - problem.leverages(state, reduced)  # of standardized residuals
     known = data.noise is not None and not data.noise_pairs
     noise = Noise(1.0, 0) if known else estimate_noise(estimator, reduced)
     clear = clear_of_limits(predictions(readings, r, data), data, noise.scale)
-    clear &= ~estimator.broken[readings.taxel]
+    clear &= readings.even & ~estimator.broken[readings.taxel]
     square, freedom = float(readings.weight[clear] @ r[clear] ** 2), float(np.sum(kept[clear]))
     fit = goodness_of_fit(
         chi2=square / noise.scale**2,
@@ -329,8 +329,9 @@ def _scale_and_fit(
     fit = replace(fit, noise=noise.scale * data.sigma, pairs=noise.pairs)
     scale = 1.0 if known else noise.scale**2
     if data.noise is None:
-        observed = float(kept[readings.kind == OBSERVED].sum())
-        scale = float(state.moments.square.sum()) / max(observed, 1.0)
+        observed = (readings.kind == OBSERVED) & readings.even
+        square = float(readings.weight[observed] @ r[observed] ** 2)
+        scale = square / max(float(kept[observed].sum()), 1.0)
     elif not known and freedom > 0:
         scale = square / freedom
     if fit.good is False:

@@ -59,7 +59,7 @@ def least_scale(data: Measurements) -> float:
 def predictions(readings: Readings, residuals: Array, data: Measurements) -> Array:
     """What the model predicts (k,), in units of the noise, from the residuals (k,)."""
     level = np.where(readings.kind == CENSORED, data.threshold, readings.level)
-    return np.asarray(residuals + level / data.sigma)
+    return np.asarray(residuals / np.sqrt(readings.precision) + level / data.sigma)
 
 
 def clear_of_limits(mu: Array, data: Measurements, scale: float | Array = 1.0) -> np.ndarray:
@@ -100,7 +100,7 @@ def estimate_noise(estimator: JointEstimator, reduced: SchurComplement) -> Noise
     """
     data, readings, r = estimator.data, estimator.likelihood.readings, estimator.residuals()
     mu, least = predictions(readings, r, data), least_scale(data)
-    sound = (readings.kind == OBSERVED) & ~outliers(readings)
+    sound = (readings.kind == OBSERVED) & ~outliers(readings) & readings.even
     noise = _scatter(estimator, reduced, r, sound)
     for _ in range(MAX_ITERATIONS):
         clear = sound & clear_of_limits(mu, data, max(noise.scale, least))

@@ -273,7 +273,7 @@ def log_odds_between(
 
 def union(first: Readings, second: Readings) -> Readings:
     """The readings of the same taxels that are in either."""
-    names = ("contact", "taxel", "level", "kind", "source", "weight")
+    names = ("contact", "taxel", "level", "kind", "source", "weight", "precision")
     columns = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in names}
     pairs = np.stack([columns["taxel"], columns["contact"]])
     kept = np.unique(pairs, axis=1, return_index=True)[1]

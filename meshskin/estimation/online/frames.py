@@ -19,6 +19,7 @@ from ..data import unit_checks
 from ..data.gather import taxel_rows
 from ..data.global_parameters import declared_parameters
 from ..data.measurements import NOMINAL_NOISE, Measurements, nominal_patches
+from ..data.patch_shape import over_edges
 from ..data.resolve_belief import contact_model, resolve_belief
 
 
@@ -190,6 +191,7 @@ def contacts_of(
         )
     hit, kept = hit.take(valid), frames.take(valid)
     headings = None if template.headings is None else _headings(kept)
+    reference = np.array([belief.force_reference or 1.0])
     return replace(
         template,
         points=kept.points,
@@ -197,6 +199,7 @@ def contacts_of(
         directions=hit.direction,
         curvature=hit.curvature,
         force=kept.force,
+        unevenness=np.empty(0) if template.learned else over_edges(belief, hit, reference),
         time=np.zeros(len(kept)) if kept.time is None else kept.time,
         patches=nominal_patches(model, belief, kept.force, hit.curvature),
         headings=headings,

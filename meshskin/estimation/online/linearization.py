@@ -16,10 +16,10 @@ from ..joint import fault_detection as faults
 from ..joint.contacts import LinearizedContacts
 from ..joint.joint_estimator import JointEstimator
 from ..joint.likelihood import Likelihood, select
-from ..joint.noise import clear_of_limits
+from ..joint.noise import clear_of_limits, predictions
 from ..joint.outlier_rejection import irls
 from ..joint.parametrization import SurfaceParametrization
-from ..joint.pressure import CENSORED, OBSERVED, costs
+from ..joint.pressure import OBSERVED, costs
 from ..joint.reduced_nlp import MAX_ITERATIONS
 from ..joint.variable_projection import SchurComplement
 from ..trilateration import trilaterate
@@ -78,9 +78,10 @@ def new_readings(
     jacobian = np.concatenate([along, by[3:].T], axis=1)
     level = found.level / data.sigma
     _, rate, curvature = costs(mu, level, found.kind)
-    variance = 1 + np.einsum("ki,kij,kj->k", jacobian, covariance[own], jacobian)
+    variance = 1 + found.precision * np.einsum("ki,kij,kj->k", jacobian, covariance[own], jacobian)
     residual = faults.residuals(found, mu, data.sigma) / np.sqrt(variance)
-    clear = (found.kind == OBSERVED) & clear_of_limits(mu, data, np.sqrt(variance))
+    clear = (found.kind == OBSERVED) & found.even & clear_of_limits(mu, data, np.sqrt(variance))
+    rate, curvature = rate * found.precision, curvature * found.precision
     return NewReadings(own, found.contact, jacobian, rate, curvature, residual, clear)
 
 
@@ -191,9 +192,8 @@ def summary(estimator: JointEstimator, misfits: np.ndarray) -> LocalEstimate:
     readings, r = estimator.likelihood.readings, estimator.residuals()
     known = SchurComplement(0.0, np.zeros(shared), KNOWN * np.eye(shared))
     kept = readings.weight - problem.leverages(state, known)
-    level = np.where(readings.kind == CENSORED, estimator.data.threshold, readings.level)
-    clear = clear_of_limits(r + level / estimator.data.sigma, estimator.data)
-    clear &= readings.kind == OBSERVED
+    clear = clear_of_limits(predictions(readings, r, estimator.data), estimator.data)
+    clear &= (readings.kind == OBSERVED) & readings.even
     weight, owner = readings.weight[clear], readings.taxel[clear]
     outlying = np.bincount(readings.taxel, faults.outliers(readings), n).astype(int)
     read = np.bincount(readings.taxel, readings.kind == OBSERVED, n)

@@ -21,7 +21,7 @@ def electronics(contact, taxel, points, time=None, names=("hysteresis", "crossta
     k, n = len(contact), len(points)
     starts = np.searchsorted(taxel, np.arange(n + 1))
     zero = np.zeros(k, dtype=int)
-    readings = Readings(contact, taxel, np.zeros(k), zero, zero, np.ones(k), starts)
+    readings = Readings(contact, taxel, np.zeros(k), zero, zero, np.ones(k), np.ones(k), starts)
     data = SimpleNamespace(
         time=0.01 * np.arange(contact.max() + 1) if time is None else time,
         parameters=declared_parameters(names, {}, 3.0, PEAK),

@@ -223,7 +223,7 @@ def test_mean_log_likelihood_of_a_mixture():
     """Against scipy's densities, two taxels of two and of one readings."""
     kind, taxel = np.array([OBSERVED, OBSERVED, OBSERVED, CENSORED]), np.array([0, 0, 1, 1])
     one = np.zeros(4)
-    readings = Readings(taxel, taxel, one, kind, taxel, one, np.array([0, 2, 4]))
+    readings = Readings(taxel, taxel, one, kind, taxel, one, one, np.array([0, 2, 4]))
     r, out = np.array([0.5, 30.0, -2.0, 0.0]), np.array([False, True, False, False])
     wild = 0.25  # half of the first taxel's readings, none of the second's
     sound = np.log((1 - wild) * norm.pdf([0.5, -2.0], scale=2.0))
@@ -282,7 +282,7 @@ def test_a_taxel_misfits_beyond_chance_and_by_more_than_the_model():
     count = 100
     taxel, one = np.zeros(count, dtype=int), np.ones(count)
     kind = np.full(count, OBSERVED)
-    readings = Readings(taxel, taxel, one, kind, taxel, one, np.array([0, count]))
+    readings = Readings(taxel, taxel, one, kind, taxel, one, one, np.array([0, count]))
 
     def misfits(square):
         return len(fault_detection.misfitting_taxels(readings, np.full(count, square**0.5), 1.0))
@@ -297,7 +297,7 @@ def test_a_taxel_that_ignores_several_presses_is_faulty(presses, fault):
     taxel, one = np.zeros(10, dtype=int), np.ones(10)
     weight = np.where(np.arange(10) < presses, 0.1, 1.0)
     kind = np.full(10, CENSORED)
-    readings = Readings(taxel, taxel, one, kind, taxel, weight, np.array([0, 10]))
+    readings = Readings(taxel, taxel, one, kind, taxel, weight, one, np.array([0, 10]))
     assert fault_detection.unanswered_presses(readings).all() == fault
 
 

@@ -40,7 +40,7 @@ def test_misfitting_contacts_are_those_that_chance_does_not_explain():
     readings = Readings(
         contact=np.tile(np.arange(100), 2), taxel=taxel, level=np.ones(200),
         kind=np.zeros(200, dtype=int), source=np.arange(200), weight=np.ones(200),
-        starts=np.array([0, 100, 200]),
+        precision=np.ones(200), starts=np.array([0, 100, 200]),
     )  # fmt: skip
     r = np.zeros(200)
     r[[7, 107]] = np.sqrt(13.7 / 2)
