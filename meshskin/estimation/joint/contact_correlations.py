@@ -53,6 +53,10 @@ KINDS = ("contact points", "forces", "readings")
 """What errs, in the order of the correlograms."""
 
 
+Rings = tuple[np.ndarray, np.ndarray, sparse.csr_array]
+"""First and second points (p,) of pairs, and the matrix (RINGS + 1, p) of means over each ring."""
+
+
 @dataclass(frozen=True)
 class AlikeErrors:
     """Errors that neighbouring contacts share."""
@@ -99,11 +103,7 @@ def alike_errors(effects: RandomEffects, covariances: Array) -> AlikeErrors:
 
     correlograms = _Correlograms(effects, covariances)
     seen = correlograms.of(effects.unknowns.errors[..., None], effects.residuals()[:, None])[:, 0]
-    drawn = [
-        correlograms.drawn(kind, length) for length in (0.0, LENGTH) for kind in range(len(KINDS))
-    ]
-    mean, deviation = (np.stack(part, axis=1) for part in list(zip(*drawn, strict=True))[:2])
-    added = np.array([part[2] for part in drawn])
+    mean, deviation, added = correlograms.drawn()
     at_zero = np.repeat(seen[:: RINGS + 1], RINGS + 1)
     believed = np.array([*correlograms.believed, 0.0, 0.0, 0.0])
     weight = believed
@@ -131,7 +131,7 @@ class _Correlograms:
         self.effects, self.fitted, self.system = effects, effects.fitted(), effects.system()
         self.information = np.linalg.inv(covariances)
         data, readings, d = effects.data, effects.readings, effects.deviations
-        self.used = np.flatnonzero(effects.probes.touched)
+        self.used, self.count = np.flatnonzero(effects.probes.touched), effects.probes.count
         self.clear = np.flatnonzero(effects.clear())
         reach = float(np.median(data.reach()[self.used]))
         self.length, self.rng = LENGTH * reach, np.random.default_rng(0)
@@ -152,33 +152,40 @@ class _Correlograms:
         rest = _products(self.readings, residuals[self.clear])
         return np.concatenate([points, _products(self.contacts, force - force.mean(axis=0)), rest])
 
-    def drawn(self, kind: int, length: float) -> tuple[Array, Array, float]:
-        """Mean and standard deviation of the correlograms of what the estimate finds of unit errors
-        of one of KINDS, white ones or a field; and the mean square of what they displace a taxel
-        by, in its stated standard deviations."""
-        readings, jacobian, system = self.effects.readings, self.fitted.jacobian, self.system
-        points, unit = self.effects.data.points, self.units[kind]
-        length = self.length if length else 0.0
+    def drawn(self) -> tuple[Array, Array, Array]:
+        """Mean and standard deviation (3 (RINGS + 1), 6) of the correlograms of what the estimate
+        finds of unit errors of each of KINDS, white ones and fields; and the mean squares (6,) of
+        what they displace a taxel by, in its stated standard deviations."""
+        jacobian, system = self.fitted.jacobian, self.system
+        each = [self._off(kind, field) for field in (False, True) for kind in range(len(KINDS))]
+        off, weight = np.concatenate(each, axis=1), self.fitted.curvature[:, None]
+        x = system.solve(*system.transposed(jacobian, weight * off))  # of all together
+        off -= system.forward(jacobian, x)
+        found = self.of(x[1], off * np.sqrt(weight)).reshape(-1, 2 * len(KINDS), self.count)
+        places = x[0][:, :2].reshape(len(x[0]), 2, -1, self.count)
+        square = np.einsum("niqc,nij,njqc->q", places, self.information, places, optimize=True)
+        mean, deviation = found.mean(axis=2), found.std(axis=2, ddof=1)
+        return mean, deviation, square / (2 * len(places) * self.count)
+
+    def _off(self, kind: int, field: bool) -> Array:
+        """What unit errors of one of KINDS, white ones or fields, change the readings by (k, c)."""
+        readings, jacobian = self.effects.readings, self.fitted.jacobian
+        points, length = self.effects.data.points, self.length if field else 0.0
         if kind == 0:
             moved = np.stack([self._field(points, length) for _ in range(3)], axis=1)
-            moved = unit * np.einsum("maj,mjc->mac", self.tangents, moved)
-            off = np.einsum("ka,kac->kc", jacobian[:, -3:-1], moved[readings.contact])
-        elif kind == 1:
-            off = jacobian[:, -1:] * (unit * self._field(points, length))[readings.contact]
-        else:
-            off = self._field(points[readings.contact], length, readings.taxel)
-            off *= self.effects.spread[:, None]
-        weight = self.fitted.curvature[:, None]
-        x = system.solve(*system.transposed(jacobian, weight * off))
-        found = self.of(x[1], (off - system.forward(jacobian, x)) * np.sqrt(weight))
-        places = x[0][:, :2]
-        square = float(np.einsum("nic,nij,njc->", places, self.information, places))
-        return found.mean(axis=1), found.std(axis=1, ddof=1), square / places.size
+            moved = self.units[0] * (self.tangents @ moved)
+            off = jacobian[:, -3:-2] * moved[readings.contact, 0]
+            return off + jacobian[:, -2:-1] * moved[readings.contact, 1]
+        if kind == 1:
+            force = self.units[1] * self._field(points, length)
+            return np.asarray(jacobian[:, -1:] * force[readings.contact])
+        off = self._field(points[readings.contact], length, readings.taxel)
+        return np.asarray(off * self.effects.spread[:, None])
 
     def _field(self, points: Array, length: float, owner: np.ndarray | None = None) -> Array:
         """Fields (m, c) of variance 1 at points (m, 3), m, correlated over `length`, m, or white
         ones; a different one for each owner (m,)."""
-        count = self.effects.probes.count
+        count = self.count
         if not length:
             return self.rng.normal(size=(len(points), count))
         if owner is None:
@@ -191,8 +198,8 @@ class _Correlograms:
         return out * np.sqrt(2 / WAVES)
 
 
-def _rings(points: Array, far: float) -> list[sparse.csr_array]:
-    """Matrices (n, n) whose forms are the mean products over pairs of points in each ring."""
+def _rings(points: Array, far: float) -> Rings:
+    """Pairs of points of which one is a centre, and means over those in each ring."""
     tree, count = cKDTree(points), len(points)
     centres = np.arange(count)[:: max(count // CENTRES, 1)]
     near = tree.query_ball_point(points[centres], far)
@@ -201,14 +208,12 @@ def _rings(points: Array, far: float) -> list[sparse.csr_array]:
     distance = np.linalg.norm(points[first] - points[second], axis=1)
     ring = np.minimum((RINGS * distance / far).astype(int), RINGS - 1) + 1
     ring[first == second] = 0
-    found = []
-    for k in range(RINGS + 1):
-        pair = first[ring == k], second[ring == k]
-        mean = np.full(len(pair[0]), 1 / max(len(pair[0]), 1))
-        found.append(sparse.csr_array((mean, pair), shape=(count, count)))
-    return found
+    share = 1 / np.bincount(ring, minlength=RINGS + 1)[ring]
+    place = ring, np.arange(len(ring))
+    return first, second, sparse.csr_array((share, place), shape=(RINGS + 1, len(ring)))
 
 
-def _products(rings: list[sparse.csr_array], values: Array) -> Array:
+def _products(rings: Rings, values: Array) -> Array:
     """Mean products (RINGS + 1, c) of values (n, c) over the pairs of each ring."""
-    return np.array([np.sum(values * (ring @ values), axis=0) for ring in rings])
+    first, second, means = rings
+    return np.asarray(means @ (values[first] * values[second]))

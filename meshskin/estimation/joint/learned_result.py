@@ -61,50 +61,28 @@ def learned_result(
     Raises SingularMatrixError where the readings leave the covariance undetermined.
     """
     data, u, live = effects.data, effects.unknowns, estimator.live
+    covariance, shared = _covariances(effects)
+    fit = _fit(effects)
+    response = learned_response(effects, shared, alike_errors(effects, covariance[:, :2, :2]))
+    scale = max(_misfit(fit), fewer_contacts(response.contact_correlation), response.alike_contacts)
+    tangential, factors, departures = _tangential(effects, covariance, fit, scale)
+    points, rotations = u.parametrization.points(), u.parametrization.rotations()
+    apart = np.nan_to_num(rivals.points - points)
+    tangential += tangential_square(rotations[:, :, :2], apart)
+    lost, reasons = estimator.broken, reasons.copy()
+    reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
+    infinite = np.diag([np.inf, np.inf])
+    faults = estimator.faults.copy()
+    name_rivals(faults, live, points, rivals.points)
 
     def spread(values: Array, missing: object) -> Array:
         return spread_rows(values, live, len(data.ids), missing)
 
-    covariance, shared = effects.system().covariances()
-    variances = np.diagonal(covariance, axis1=1, axis2=2)
-    if (variances <= 0).any() or (
-        np.diag(shared) <= 0
-    ).any():  # rounding, of a system near singular
-        raise SingularMatrixError(int(np.argmin(variances.min(axis=1))))
-    fit = _fit(effects)
-    alike = alike_errors(effects, covariance[:, :2, :2])
-    response = learned_response(effects, shared, alike)
-    misfit = max(fit.reduced, 1.0) if fit.good is not True else 1.0
-    scale = max(misfit, fewer_contacts(response.contact_correlation), response.alike_contacts)
-    points, rotations = u.parametrization.points(), u.parametrization.rotations()
-    apart = np.nan_to_num(rivals.points - points)
-    fitted = effects.fitted()
-    errors, own = shared_errors(fitted), misfit * covariance[:, :2, :2]
-    added = errors.covariances(fitted)
-    fields = contact_fields(fitted)
-    departures = {**errors.beyond(added, own), **fields.departure}
-    tangential = larger(scale * covariance[:, :2, :2], own + added)
-    alike_points = fit.good is not False and bool(fields.covariances.any())
-    if alike_points:  # a misfit would pass for displacements of any size
-        tangential = larger(tangential, own + fields.covariances)
-    tangential *= _few_readings(effects)[:, None, None]
-    tangential += _leaks(effects) + tangential_square(rotations[:, :, :2], apart)
-    lost, reasons = estimator.broken, reasons.copy()
-    reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
-    infinite = np.diag([np.inf, np.inf])
-    deviation = np.sqrt(scale * variances)
-    unit = data.sigma * data.unit
-    units = {name: 1.0 if name == "gain" else unit for name in data.parameters.nuisance_names}
-    r = effects.residuals() ** 2 * (effects.readings.kind == OBSERVED)
-    count = np.bincount(effects.readings.taxel, effects.readings.kind == OBSERVED, len(live))
-    square = np.bincount(effects.readings.taxel, r, len(live))
-    faults = estimator.faults.copy()
-    name_rivals(faults, live, points, rivals.points)
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, points), np.nan),
         rotations=spread(rotations, np.nan),
         covariance=spread(np.where(lost[:, None, None], infinite, tangential), infinite),
-        chi2=spread(square / np.maximum(count - 2, 1), np.nan),
+        chi2=spread(_chi2(effects), np.nan),
         reasons=reasons,
         factors=(
             LEARNED_RESPONSE,
@@ -112,22 +90,12 @@ def learned_result(
             *response.describe(),
             *((CENSORING,) if (effects.selected[0].kind == CENSORED).any() else ()),
             SURFACE,
-            *((SHARED_ERRORS.format(errors.where),) if added.any() else ()),
-            *((ALIKE_CONTACTS,) if alike_points else ()),
+            *factors,
             *data.excluded,
         ),
         unknowns=_shared_values(effects, scale * shared),
         undetermined=_not_separable(effects, shared),
-        taxel_unknowns={
-            name: np.stack(
-                [
-                    spread(u.nuisance[:, k] * unit, np.nan),
-                    spread(deviation[:, 2 + k] * unit, np.inf),
-                ],
-                axis=1,
-            )
-            for k, (name, unit) in enumerate(units.items())
-        },
+        taxel_unknowns=_taxel_unknowns(effects, live, scale * covariance),
         faults=faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
@@ -138,6 +106,69 @@ def learned_result(
         iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
         seconds={"joint": time.perf_counter() - clock},
     )
+
+
+def _covariances(effects: RandomEffects) -> tuple[Array, Array]:
+    """Covariances of the taxels (n, D, D) and of the global parameters (ks, ks).
+
+    Raises SingularMatrixError where rounding, of a system near singular, makes variances negative.
+    """
+    covariance, shared = effects.system().covariances()
+    variances = np.diagonal(covariance, axis1=1, axis2=2)
+    if (variances <= 0).any() or (np.diag(shared) <= 0).any():
+        raise SingularMatrixError(int(np.argmin(variances.min(axis=1))))
+    return covariance, shared
+
+
+def _misfit(fit: GoodnessOfFit) -> float:
+    """Factor of the variances by residuals that are larger than the noise."""
+    return 1.0 if fit.good is True else max(fit.reduced, 1.0)
+
+
+def _tangential(
+    effects: RandomEffects, covariance: Array, fit: GoodnessOfFit, scale: float
+) -> tuple[Array, list[str], dict[str, float]]:
+    """Tangential covariances (n, 2, 2), m^2, with errors that readings and contacts share, what
+    these are in words, and their scores.
+
+    covariance (n, D, D): of independent errors; scale: its factor by the misfit, or by contacts
+    that tell less than they seem to.
+    """
+    fitted = effects.fitted()
+    errors, fields = shared_errors(fitted), contact_fields(fitted)
+    own, added = _misfit(fit) * covariance[:, :2, :2], errors.covariances(fitted)
+    tangential = larger(scale * covariance[:, :2, :2], own + added)
+    factors = [SHARED_ERRORS.format(errors.where)] if added.any() else []
+    # a misfit would pass for displacements of any size
+    if fit.good is not False and fields.covariances.any():
+        tangential = larger(tangential, own + fields.covariances)
+        factors.append(ALIKE_CONTACTS)
+    tangential *= _few_readings(effects)[:, None, None]
+    return tangential + _leaks(effects), factors, {**errors.beyond(added, own), **fields.departure}
+
+
+def _chi2(effects: RandomEffects) -> Array:
+    """Squared residuals per degree of freedom (n,) of the taxels."""
+    readings, n = effects.readings, len(effects.unknowns.nuisance)
+    recorded = readings.kind == OBSERVED
+    square = np.bincount(readings.taxel, effects.residuals() ** 2 * recorded, n)
+    return np.asarray(square / np.maximum(np.bincount(readings.taxel, recorded, n) - 2, 1))
+
+
+def _taxel_unknowns(
+    effects: RandomEffects, live: np.ndarray, covariance: Array
+) -> dict[str, Array]:
+    """Gain, offset and drift of all taxels with their standard deviations (., 2), by name;
+    covariance (n, D, D): of the taxels `live` (n,)."""
+    data, found = effects.data, {}
+    deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    for k, name in enumerate(data.parameters.nuisance_names):
+        unit = 1.0 if name == "gain" else data.sigma * data.unit
+        values = effects.unknowns.nuisance[:, k] * unit, deviation[:, 2 + k] * unit
+        parts = zip(values, (np.nan, np.inf), strict=True)
+        spread = [spread_rows(part, live, len(data.ids), missing) for part, missing in parts]
+        found[name] = np.stack(spread, axis=1)
+    return found
 
 
 def _few_readings(effects: RandomEffects) -> Array:

@@ -19,7 +19,7 @@ from ...core.arrays import Array, ranges
 from ..data.measurements import Measurements
 from ..data.pairs import REACH_MARGIN, silent_pairs
 from .contacts import Contacts
-from .pressure import CENSORED, OBSERVED, SATURATED, costs, disc_means
+from .pressure import CENSORED, OBSERVED, SATURATED, corrected_means, costs, disc_means
 
 if TYPE_CHECKING:
     from .electronics import Electronics
@@ -278,43 +278,17 @@ class Likelihood:
         """
         data, names = self.data, self.data.parameters.nuisance_names
         lagging = electronics is not None and "hysteresis" in data.parameters.columns
-        offset = points - contacts.points[contact]
-        mean, by_point, by_shape = disc_means(data.model.name, offset, contact, contacts, data.disc)
         columns, first = data.parameters.columns, 3 + len(names)
         last = first + len(data.parameters.sigma)
-        jacobian = np.zeros((last + 3 * (bool(contacts.by_load) + lagging), len(mean)))
-        features = None
-        if "profile" in columns:
-            features, value, slope, by_axes = self._profile(offset, contact, contacts)
-            mean, by_point = mean + value, by_point + slope
-            by_axes = (*by_axes, *[np.zeros(len(mean))] * (len(by_shape) - len(by_axes)))
-            by_shape = tuple(a + b for a, b in zip(by_shape, by_axes, strict=True))
-        peak = contacts.peaks[contact] / data.sigma
+        size = last + 3 * (bool(contacts.by_load) + lagging)
+        jacobian, peak = np.zeros((size, len(contact))), contacts.peaks[contact] / data.sigma
         if "gain" in names:
             gain = nuisance[:, names.index("gain")]
             amplified = 1 + data.response_levels[0] * contacts.compression
             peak = peak * np.exp(amplified * gain)
-            jacobian[3 + names.index("gain")] = amplified * peak * mean
-        mu = peak * mean
-        jacobian[:3] = peak * by_point.T
-        by_shape = tuple(peak * by for by in by_shape)
-        if contacts.moves is not None:  # a motion of the contact's frame is the taxel's, reversed
-            wrench = np.concatenate([by_point, np.cross(offset, by_point)], 1) * peak[:, None]
-        at = columns.get("profile", slice(0, 0))
-        for row in np.setdiff1d(np.arange(self.shared), np.arange(at.start, at.stop)):
-            jacobian[first + row] = mu * contacts.log_peak[contact, row]
-            for by, slope in zip(by_shape, contacts.shape, strict=True):
-                jacobian[first + row] += by * slope[contact, row]
-            if (moves := contacts.moves) is not None:
-                jacobian[first + row] -= np.einsum("ki,ki->k", wrench, moves[contact, :, row])
-        if features is not None and self.shared:
-            jacobian[first + at.start : first + at.stop] = peak * features.T
-        if contacts.by_load:
-            for row, side in enumerate((contacts.directions, contacts.across), last):
-                jacobian[row] = -np.einsum("ik,ki->k", jacobian[:3], side[contact])
-            *slopes, by_peak = (slope[contact] for slope in contacts.by_load)
-            by_axes = sum(by * slope for by, slope in zip(by_shape, slopes, strict=True))
-            jacobian[last + 2] = mu * by_peak + by_axes
+        mu = self._pressures(contact, points - contacts.points[contact], peak, contacts, jacobian)
+        if "gain" in names:
+            jacobian[3 + names.index("gain")] = amplified * mu
         if electronics is not None:
             row, scale = 3 + names.index("gain"), np.exp(amplified * gain)
             mu = electronics.apply(mu, jacobian, contacts.s, scale, (row, amplified), first)
@@ -339,20 +313,42 @@ class Likelihood:
                 mu, jacobian[3 + row] = mu + added * nuisance[:, row], added
         return mu, jacobian
 
-    def _profile(
-        self, offset: Array, contact: np.ndarray, contacts: Contacts
-    ) -> tuple[Array, Array, Array, tuple[Array, ...]]:
-        """The profile's basis functions (k, PROFILE_SIZE) at taxels `offset` (k, 3), m, from their
-        contacts, and the correction (k,) with its derivatives, as `disc_means`."""
-        along, across = contacts.directions[contact], contacts.across[contact]
-        a, b = contacts.patches.first[contact], contacts.patches.second[contact]
-        x, y = np.einsum("ki,ki->k", offset, along) / a, np.einsum("ki,ki->k", offset, across) / b
-        u = np.sqrt(x**2 + y**2 + 1e-12)
-        basis, value, slope = ProfileCorrection(self.data.profile_extent)(u, contacts.profile)
-        slope /= u
-        by_point = slope[:, None] * ((x / a)[:, None] * along + (y / b)[:, None] * across)
-        axes = (x**2 + y**2,) if len(contacts.shape) == 1 else (x**2, y**2)
-        return basis, value, by_point, tuple(-slope * square for square in axes)
+    def _pressures(
+        self, contact: np.ndarray, offset: Array, peak: Array, contacts: Contacts, jacobian: Array
+    ) -> Array:
+        """Readings (k,) before the electronics, of taxels `offset` (k, 3), m, from their contacts,
+        at peak pressures (k,) in units of the noise; writes their derivatives in points, global
+        parameters and errors of the contacts into `jacobian`."""
+        data, parameters, features = self.data, self.data.parameters, None
+        means = disc_means(data.model.name, offset, contact, contacts, data.disc)
+        if "profile" in parameters.columns:
+            profile = ProfileCorrection(data.profile_extent)
+            features, means = corrected_means(means, profile, offset, contact, contacts)
+        mean, by_point, by_shape = means
+        mu, jacobian[:3] = peak * mean, peak * by_point.T
+        by_shape = tuple(peak * by for by in by_shape)
+        if contacts.moves is not None:  # a motion of the contact's frame is the taxel's, reversed
+            wrench = np.concatenate([by_point, np.cross(offset, by_point)], 1) * peak[:, None]
+        first, at = (
+            3 + len(parameters.nuisance_names),
+            parameters.columns.get("profile", slice(0, 0)),
+        )
+        for row in np.setdiff1d(np.arange(self.shared), np.arange(at.start, at.stop)):
+            jacobian[first + row] = mu * contacts.log_peak[contact, row]
+            for by, slope in zip(by_shape, contacts.shape, strict=True):
+                jacobian[first + row] += by * slope[contact, row]
+            if (moves := contacts.moves) is not None:
+                jacobian[first + row] -= np.einsum("ki,ki->k", wrench, moves[contact, :, row])
+        if features is not None and self.shared:
+            jacobian[first + at.start : first + at.stop] = peak * features.T
+        if contacts.by_load:
+            last = first + len(parameters.sigma)
+            for row, side in enumerate((contacts.directions, contacts.across), last):
+                jacobian[row] = -np.einsum("ik,ki->k", jacobian[:3], side[contact])
+            *slopes, by_peak = (slope[contact] for slope in contacts.by_load)
+            by_axes = sum(by * slope for by, slope in zip(by_shape, slopes, strict=True))
+            jacobian[last + 2] = mu * by_peak + by_axes
+        return mu
 
     def _compressed(self, mu: Array, jacobian: Array, compression: float, first: int) -> Array:
         """Compressed readings y / (1 + c y / p), p being the nominal peak; rescales `jacobian`."""

@@ -24,23 +24,19 @@ from .. import chart
 from ..data.global_parameters import RADIUS_TOLERANCE, radius_deviation
 from ..data.measurements import Measurements
 from ..result import (
-    ALIKE_CONTACTS,
     CENSORING,
     MOSTLY_OUTLIERS,
-    SHARED_ERRORS,
     SURFACE,
     EstimatorResult,
     join_words,
     name_rivals,
-)
+)  # fmt: skip
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
-from .contact_fields import contact_fields
-from .departures import departure_scores, fitted_readings
 from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
-from .jump import Jump, jump_of
 from .likelihood_widths import widened
+from .model_departures import ModelDepartures
 from .module_parametrization import (
     MODULE_SURFACE,
     MODULES,
@@ -53,7 +49,6 @@ from .outlier_rejection import reject_outliers, without_misfitting_contacts
 from .parametrization import Parametrization, SurfaceParametrization
 from .pressure import OBSERVED
 from .reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
-from .residual_correlations import larger, shared_errors
 from .rival_optima import RivalOptima, resolve_rivals
 from .variable_projection import SchurComplement
 
@@ -188,12 +183,7 @@ def _result(
     parameters, parametrization = data.parameters, problem.parametrization
     reduced = problem.reduce(state)
     scale, fit = _scale_and_fit(estimator, reduced)
-    fitted, jump, errors, fields = None, Jump(), None, None
-    tested = not fit.of_computing(data.pressure)  # else they are alike in neighbouring contacts
-    if tested and isinstance(parametrization, SurfaceParametrization):
-        fitted = fitted_readings(estimator, estimator.likelihood.readings.weight)
-        jump, errors = jump_of(estimator, fitted), shared_errors(fitted)
-        fields = contact_fields(fitted)
+    found = ModelDepartures.of(estimator, fit)
 
     def spread(values: Array, missing: object) -> Array:
         return spread_rows(values, estimator.live, len(data.ids), missing)
@@ -202,78 +192,100 @@ def _result(
         infinite = np.diag([np.inf] * covariance.shape[1])
         return spread(np.where(lost[:, None, None], infinite, covariance), infinite)
 
-    covariance, global_covariance = problem.covariances(state, reduced)
+    covariance, shared = (scale * part for part in problem.covariances(state, reduced))
     lost, reasons = estimator.unconverged | estimator.broken, reasons.copy()
     reasons[estimator.live] = ""
     reasons[estimator.live[estimator.broken]] = MOSTLY_OUTLIERS
     reasons[estimator.live[estimator.unconverged]] = UNCONVERGED
     unit = 1.0 if data.noise is not None and not data.noise_pairs else scale
     information, gains = problem.information(state)
-    pose_covariances: Array | None = None
-    factors = _factors(data, fit)
+    six: Array | None = None
     if isinstance(parametrization, ModuleParametrization):
-        six = scale * parametrization.covariances(covariance[:, :6, :6])
-        tangential, pose_covariances = six[:, :2, :2], dropped(six)
-        factors += [MODULES, MODULE_SURFACE]
+        six = parametrization.covariances(covariance[:, :6, :6])
+        tangential, factors = six[:, :2, :2], [MODULES, MODULE_SURFACE]
     else:
-        factors.append(SURFACE)
-        apart = np.nan_to_num(rivals.points - parametrization.points())
-        tangential = widened(estimator, scale * covariance[:, :2, :2], scale)
-        tangential += chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
-        if fit.good is False:
-            tangential += _model_dependence(estimator, fit)
-        elif fitted and errors and fields:
-            added = errors.covariances(fitted)
-            tangential += larger(added, fields.covariances)
-            factors += [SHARED_ERRORS.format(errors.where)] if added.any() else []
-            factors += [ALIKE_CONTACTS] if fields.covariances.any() else []
-    if parameters.nuisance_names != declared.parameters.nuisance_names:
-        factors.append(UNDECLARED_GAINS)
-    factors += parameters.describe_priors()
-    sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
-    groups = np.arange(parametrization.count)
-    units = [1.0 if name == "gain" else data.sigma for name in parameters.nuisance_names]
-    nuisance = spread(problem.nuisance(state.z, groups) * units, np.nan)
-    nuisance_sigma = spread(problem.nuisance(sigma, groups) * units, np.inf)
-    global_sigma = np.sqrt(np.diag(scale * global_covariance))
-    modulus = data.modulus * float(np.exp(parameters.value("modulus", state.s)))
-    modulus_sigma: float | None = None
-    if "modulus" in parameters.names:
-        own = global_sigma[parameters.columns["modulus"]][0]
-        by_radius = radius_deviation(data.belief, data.curvature)
-        modulus_sigma = modulus * float(np.hypot(own, by_radius))
-        factors.append(RADIUS.format(RADIUS_TOLERANCE))
+        own = widened(estimator, covariance[:, :2, :2], scale)
+        tangential, factors = _tangential(estimator, own, fit, found, rivals)
+    undeclared = parameters.nuisance_names != declared.parameters.nuisance_names
+    modulus, modulus_sigma = _modulus(estimator, shared)
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, parametrization.points()), np.nan),
         rotations=spread(parametrization.rotations(), np.nan),
         covariance=dropped(tangential),
-        pose_covariances=pose_covariances,
+        pose_covariances=None if six is None else dropped(six),
         chi2=spread(estimator.chi2 / unit, np.nan),
         reasons=reasons,
-        factors=tuple(factors),
+        factors=(
+            *_factors(data, fit),
+            *factors,
+            *((UNDECLARED_GAINS,) if undeclared else ()),
+            *parameters.describe_priors(),
+            *(() if modulus_sigma is None else (RADIUS.format(RADIUS_TOLERANCE),)),
+        ),
         modulus=modulus,
         modulus_sigma=modulus_sigma,
-        unknowns=parameters.named(state.s, scale * global_covariance),
+        unknowns=parameters.named(state.s, shared),
         undetermined=(
             *undetermined(parameters, information / unit, gains),
-            *undetermined_motion(parameters, scale * global_covariance),
+            *undetermined_motion(parameters, shared),
         ),
-        taxel_unknowns={
-            name: np.stack([nuisance[:, k], nuisance_sigma[:, k]], axis=1)
-            for k, name in enumerate(parameters.nuisance_names)
-        },
+        taxel_unknowns=_taxel_unknowns(estimator, covariance),
         faults=estimator.faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
-        departures=departure_scores(estimator, fitted)
-        | (errors.departure if errors else {})
-        | (fields.departure if fields else {})
-        | jump.departure,
-        jump=jump.shown,
+        departures=found.scores(estimator),
+        jump=found.jump.shown,
         iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
         restarted=estimator.live[restarted],
         seconds=estimator.seconds,
     )
+
+
+def _tangential(
+    estimator: JointEstimator,
+    own: Array,
+    fit: GoodnessOfFit,
+    found: ModelDepartures,
+    rivals: RivalOptima,
+) -> tuple[Array, list[str]]:
+    """Tangential covariances (n, 2, 2), m^2, of single taxels, and what they rest on, in words;
+    own (n, 2, 2): of independent errors."""
+    parametrization = estimator.problem.parametrization
+    apart = np.nan_to_num(rivals.points - parametrization.points())
+    tangential = own + chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
+    if fit.good is False:
+        return tangential + _model_dependence(estimator, fit), [SURFACE]
+    added, words = found.covariances()
+    return tangential + added, [SURFACE, *words]
+
+
+def _taxel_unknowns(estimator: JointEstimator, covariance: Array) -> dict[str, Array]:
+    """Nuisance parameters of all taxels with their standard deviations (., 2), by name; covariance
+    (G, D, D): of the groups."""
+    data, problem = estimator.data, estimator.problem
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    groups, found = np.arange(problem.parametrization.count), {}
+    each = zip((estimator.state.z, sigma), (np.nan, np.inf), strict=True)
+    values = [
+        spread_rows(problem.nuisance(part, groups), estimator.live, len(data.ids), missing)
+        for part, missing in each
+    ]
+    for k, name in enumerate(data.parameters.nuisance_names):
+        unit = 1.0 if name == "gain" else data.sigma
+        found[name] = np.stack([part[:, k] * unit for part in values], axis=1)
+    return found
+
+
+def _modulus(estimator: JointEstimator, covariance: Array) -> tuple[float, float | None]:
+    """E*, Pa, and its standard deviation, None where it is known; covariance (ks, ks): of the
+    global parameters."""
+    data, parameters = estimator.data, estimator.data.parameters
+    modulus = data.modulus * float(np.exp(parameters.value("modulus", estimator.state.s)))
+    if "modulus" not in parameters.names:
+        return modulus, None
+    own = np.sqrt(np.diag(covariance))[parameters.columns["modulus"]][0]
+    by_radius = radius_deviation(data.belief, data.curvature)
+    return modulus, modulus * float(np.hypot(own, by_radius))
 
 
 def _factors(data: Measurements, fit: GoodnessOfFit) -> list[str]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from ...contact.disc import disc_mean_of_square
 from ...contact.ellipse import ellipse_gradient
+from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
 from ...core.many_points import ColumnFunction
 
@@ -105,6 +106,29 @@ def disc_means(
         else:
             out = layered_kernel()(len(rows), *columns, patch.exponent[rows])
     return out[0], out[1:4].T, tuple(out[4:])
+
+
+def corrected_means(
+    means: MeanAndDerivatives,
+    profile: ProfileCorrection,
+    offset: Array,
+    rows: np.ndarray,
+    contacts: Contacts,
+) -> tuple[Array, MeanAndDerivatives]:
+    """The basis functions (k, PROFILE_SIZE) of a learned profile, and `means` with its correction;
+    offset and rows as in `disc_means`."""
+    along, across = contacts.directions[rows], contacts.across[rows]
+    a, b = contacts.patches.first[rows], contacts.patches.second[rows]
+    x, y = np.einsum("ki,ki->k", offset, along) / a, np.einsum("ki,ki->k", offset, across) / b
+    u = np.sqrt(x**2 + y**2 + 1e-12)
+    basis, value, slope = profile(u, contacts.profile)
+    slope /= u
+    mean, by_point, by_shape = means
+    by_point = by_point + (slope * x / a)[:, None] * along
+    by_point += (slope * y / b)[:, None] * across
+    squares = (x**2 + y**2,) if len(contacts.shape) == 1 else (x**2, y**2)
+    axes = (by - slope * square for by, square in zip(by_shape, squares, strict=False))
+    return basis, (mean + value, by_point, (*axes, *by_shape[len(squares) :]))
 
 
 def censored(u: Array) -> tuple[Array, Array, Array]:

@@ -1,0 +1,54 @@
+"""What the readings show beyond a contact model that all taxels are estimated with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...core.arrays import Array
+from ..result import ALIKE_CONTACTS, SHARED_ERRORS
+from ..uncertainty.goodness_of_fit import GoodnessOfFit
+from .contact_fields import ContactFields, contact_fields
+from .departures import FittedReadings, departure_scores, fitted_readings
+from .joint_estimator import JointEstimator
+from .jump import Jump, jump_of
+from .parametrization import SurfaceParametrization
+from .residual_correlations import SharedErrors, larger, shared_errors
+
+
+@dataclass(frozen=True)
+class ModelDepartures:
+    """What the readings of single taxels show beyond the model; nothing of rigid modules, or where
+    the residuals are errors of computing, which are alike in neighbouring contacts."""
+
+    fitted: FittedReadings | None = None
+    jump: Jump = field(default_factory=Jump)
+    errors: SharedErrors | None = None
+    fields: ContactFields | None = None
+
+    @classmethod
+    def of(cls, estimator: JointEstimator, fit: GoodnessOfFit) -> ModelDepartures:
+        """At the estimate."""
+        single = isinstance(estimator.problem.parametrization, SurfaceParametrization)
+        if not single or fit.of_computing(estimator.data.pressure):
+            return cls()
+        fitted = fitted_readings(estimator, estimator.likelihood.readings.weight)
+        jump = jump_of(estimator, fitted)
+        return cls(fitted, jump, shared_errors(fitted), contact_fields(fitted))
+
+    def covariances(self) -> tuple[Array, list[str]]:
+        """What shared errors add to the tangential covariances (n, 2, 2), m^2, and in words."""
+        if not (self.fitted and self.errors and self.fields):
+            return np.zeros((2, 2)), []
+        by_errors, by_fields = self.errors.covariances(self.fitted), self.fields.covariances
+        words = [SHARED_ERRORS.format(self.errors.where)] if by_errors.any() else []
+        words += [ALIKE_CONTACTS] if by_fields.any() else []
+        return larger(by_errors, by_fields), words
+
+    def scores(self, estimator: JointEstimator) -> dict[str, float]:
+        """The score of each, by its name."""
+        found = departure_scores(estimator, self.fitted)
+        for part in (self.errors, self.fields, self.jump):
+            found |= part.departure if part else {}
+        return found
