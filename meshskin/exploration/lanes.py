@@ -193,7 +193,7 @@ def _all_both_ways(
 def _traces(
     body: Body, start: Array, directions: Array, step: float, coverage: Coverage | None
 ) -> list[tuple[Array, bool]]:
-    """The geodesics one way from `start`, and whether each returned there."""
+    """The geodesics from `start` in one sense, and whether each returned there."""
     count = len(directions)
     trace = geodesic(body, np.repeat(start[None], count, axis=0), directions, step)
     points, outside = [next(trace)[0].point], np.zeros(count, dtype=int)

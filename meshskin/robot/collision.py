@@ -56,7 +56,7 @@ CONTACT_SLACK = 1e-3
 """Relative tolerance of the test that a sphere touches at one point only."""
 TRACING_SLACK = 0.05
 """Part of the support's radius that is kept clear when its axis is traced: distances to a smooth
-surface over coarse facets change by slightly more than the way."""
+surface over coarse facets change by slightly more than the distance moved."""
 PITCH_ERROR = 1.12
 """Radius that samples of the support have, relative to its own: samples one radius apart leave
 sqrt(1 + 1/4) of it between them."""
@@ -64,7 +64,7 @@ sqrt(1 + 1/4) of it between them."""
 HOLLOW = "concave: the indenter does not fit"
 EDGE = "edge: the contact patch would run over it"
 SUPPORT = "collision: the indenter's support meets the body"
-ENCLOSED = "enclosed: no straight way of the indenter to it from outside was found"
+ENCLOSED = "enclosed: no straight path of the indenter from outside was found"
 ARM_SUPPORT = "collision: the arm meets the indenter's support"
 ARM_BODY = "collision: the arm meets the body"
 

@@ -21,7 +21,7 @@ from ..core.errors import ReachError
 from ..core.se3 import inverse, orthonormal_basis, transform
 from ..geometry.body import Body
 from ..geometry.geodesics import any_tangents, rotate_about
-from . import collision, free_way, posture, turntable
+from . import accessibility, collision, posture, turntable
 from .arm import Arm
 
 SITES = 10
@@ -108,8 +108,8 @@ class ContactRig:
     def contact_reasons(self, points: Array, normals: Array) -> Array:
         """Reason (k,) why the indenter cannot be pressed in at points (k, 3), "" where it can.
 
-        It does not fit, an edge is within the contact patch, the contact model does not hold, or
-        no way leads there from outside.
+        It does not fit, an edge is within the contact patch, the contact model does not hold, or no
+        straight path leads there from outside.
         """
         reason = collision.contact_reasons(self.body, points, normals, self.indenter, self.depth)
         free = np.flatnonzero(reason == "")
@@ -119,7 +119,7 @@ class ContactRig:
         if self.model_reasons is not None and len(free):
             reason[free] = self.model_reasons(self.body.surface.nearest(points[free]).curvature)
         free = np.flatnonzero(reason == "")
-        held = free_way.enclosed(self.body, points[free], normals[free], self.indenter.radius)
+        held = accessibility.enclosed(self.body, points[free], normals[free], self.indenter.radius)
         reason[free[held]] = collision.ENCLOSED
         return reason
 

@@ -8,10 +8,10 @@ elements; all checks here would remain.
 from __future__ import annotations
 
 import copy
-import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -20,6 +20,10 @@ from numpy.typing import ArrayLike
 from ..core.arrays import Array
 from ..core.errors import ArmError, UnknownNameError
 from ..core.se3 import from_rpy
+from ..geometry.mesh import link_mesh
+
+vector = partial(link_mesh.vector, error=ArmError)
+"""The numbers of an attribute of a URDF file; raises ArmError."""
 
 
 @dataclass(frozen=True)
@@ -189,18 +193,6 @@ class UrdfTree:
             ET.SubElement(joint, "axis", xyz=numbers(j.axis))
             ET.SubElement(joint, "limit", lower="0", upper="0", effort="0", velocity="0")
         return ET.tostring(robot, encoding="unicode")
-
-
-def vector(element: ET.Element | None, key: str, default: str, size: int, where: str) -> Array:
-    """The numbers (size,) of an attribute. Raises ArmError."""
-    text = default if element is None else element.get(key, default)
-    try:
-        values = np.array([float(part) for part in text.split()])
-    except ValueError:
-        values = np.array([math.nan])
-    if values.shape != (size,) or not np.isfinite(values).all():
-        raise ArmError(f"bad {key}{where}", value=repr(text), limit=f"{size} numbers")
-    return values
 
 
 def numbers(values: ArrayLike) -> str:

@@ -114,8 +114,7 @@ class Scene(Value, NamedFields, Card):
     def __post_init__(self) -> None:
         if self.arm is None:
             raise ConfigError(
-                "scene.arm must be an Arm",
-                value="None",
+                "scene.arm must be an Arm, not None",
                 remedy="omit it for the default arm, which a quasi-static loop does not use",
             )
         for name, kind in PARTS.items():
@@ -240,9 +239,8 @@ class Scene(Value, NamedFields, Card):
 
     @cached_property
     def pressed_patch(self) -> Patch:
-        """`patch`; where the model does not hold under the reference force, the patch under a half
-        or a quarter of it, with which plans then press. Raises ContactError where it holds under
-        none of them."""
+        """`patch`, or the patch under a half or a quarter of the force where the model holds only
+        there, as plans then press. Raises ContactError where it holds under none of these."""
         return self.indentation.lighter_patch(self.model.name, self._middle_first)
 
     @cached_property

@@ -33,7 +33,7 @@ MAX_DISTANCE = 0.05
 """Default limit on the distance from a taxel to the surface that `Skin.onto` moves it to, m: half
 the radius of a forearm. A larger one means that the skin is in another frame or unit."""
 MIN_COSINE = -0.999
-"""Cosine between old and new normal below which `Skin.onto` sets a frame anew, about 177 degrees:
+"""Cosine between old and new normal below which `Skin.onto` chooses a new frame, about 177 degrees:
 the shortest rotation between opposite normals is not determined."""
 MAX_TAXELS = lattice.MAX_SITES
 

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from ...core.arrays import Array
-from ...core.errors import MeshError, UnknownNameError
+from ...core.errors import MeshError, MeshskinError, UnknownNameError
 from ...core.se3 import from_rpy
 from . import mesh_file
 from .triangles import Triangles
@@ -56,25 +56,32 @@ def placed(shape: ET.Element, folders: Iterable[str | Path], where: str) -> Tria
     """
     mesh, origin = shape.find("geometry/mesh"), shape.find("origin")
     assert mesh is not None
-    scale = _numbers(mesh, "scale", "1 1 1", where)
+    scale = vector(mesh, "scale", "1 1 1", 3, where)
     if not scale.all():
         raise MeshError(f"the scale of the mesh{where} is zero", value=scale.tolist())
     raw = mesh_file.read(find_mesh(mesh.get("filename", ""), folders))
-    turn = from_rpy(_numbers(origin, "rpy", "0 0 0", where))
-    vertices = (raw.vertices * scale) @ turn.T + _numbers(origin, "xyz", "0 0 0", where)
+    turn = from_rpy(vector(origin, "rpy", "0 0 0", 3, where))
+    vertices = (raw.vertices * scale) @ turn.T + vector(origin, "xyz", "0 0 0", 3, where)
     mirrored = np.prod(scale) < 0.0
     return Triangles(vertices, raw.faces[:, ::-1] if mirrored else raw.faces, raw.names)
 
 
-def _numbers(element: ET.Element | None, key: str, default: str, where: str) -> Array:
-    """The three numbers of an attribute. Raises MeshError."""
+def vector(
+    element: ET.Element | None,
+    key: str,
+    default: str,
+    size: int,
+    where: str,
+    error: type[MeshskinError] = MeshError,
+) -> Array:
+    """The numbers (size,) of an attribute; `default` where it is absent. Raises `error`."""
     text = default if element is None else element.get(key, default)
     try:
         values = np.array([float(part) for part in text.split()])
     except ValueError:
-        values = np.full(3, np.nan)
-    if values.shape != (3,) or not np.isfinite(values).all():
-        raise MeshError(f"bad {key}{where}", value=repr(text), limit="3 numbers")
+        values = np.array([np.nan])
+    if values.shape != (size,) or not np.isfinite(values).all():
+        raise error(f"bad {key}{where}", value=repr(text), limit=f"{size} numbers")
     return values
 
 

@@ -154,7 +154,8 @@ def _band(
 ) -> NDArray[np.float32]:
     """Distances at the nodes of a grid, exact near `level` and elsewhere on the right side of it.
 
-    Blocks are halved where the level may be within them: a distance changes by at most the way.
+    Blocks are halved where the level may be within them: a distance changes by at most the distance
+    moved.
     """
     values = np.full(blocks, level, dtype=np.float32)
     for depth in range(LEVELS, -1, -1):

@@ -1,8 +1,8 @@
 """Tests of distance from a surface, most of them by bounds from a grid of signed distances.
 
-The signed distance of a closed surface changes by at most the way: a point that is farther from a
-limit than its way to a node of the grid needs no closest point. Source: Hart, "Sphere tracing",
-Visual Computer 12 (1996).
+The signed distance of a closed surface has the Lipschitz constant 1. A point whose distance at the
+nearest node differs from a limit by more than the distance to that node needs no closest point.
+Source: Hart, "Sphere tracing", Visual Computer 12 (1996).
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ from .surface import Surface
 NODES = 30_000
 """Nodes of a grid: their distances take as long as those of as many points."""
 LIPSCHITZ = 1.05
-"""Largest change of the distance, relative to the way: over coarse facets the distance of the
-smooth surface changes by slightly more than it."""
+"""Lipschitz constant of the distance of the smooth surface: slightly above 1 over coarse facets."""
 
 
 class DistanceGrid:

@@ -18,7 +18,7 @@ before it."""
 
 def step(loop: ClosedLoopModel) -> ca.Function:
     """The step (state, reference, anchor, parameters) -> (next state, output)."""
-    # the foot point is needed to the method's order: two Newton steps
+    # the foot point must be accurate to the method's order: two Newton steps
     dynamics, n = ClosedLoopDynamics(loop, newton=2), loop.joints
     derivative = dynamics.derivative()
     state, q, qdot, contact_state = dynamics.state()

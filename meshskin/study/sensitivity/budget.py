@@ -199,7 +199,7 @@ class BudgetTrial:
             if item.name in out:
                 continue
             if mean_length(item.shift) > limit:
-                out[item.name] = "alone more than may be left out"
+                out[item.name] = "exceeds the budget by itself"
             elif item.seconds <= 0.0:
                 out[item.name] = "saves more readings to be calibrated than it costs"
         return out
@@ -234,11 +234,11 @@ class BudgetTrial:
         shifts = self.screened | {item.name: mean_length(item.shift) for item in self.items}
         entries = []
         for effect in self.effects:
-            name, why = effect.name, "the budget bears it"
+            name, why = effect.name, "negligible within the budget"
             if name in self.screened:
                 why = "screened: its bound is negligible"
             elif name in on:
-                why = forced.get(name, "takes most off the rest for its seconds")
+                why = forced.get(name, "largest reduction of the shift for its seconds")
             setting = "on" if name in on else "off"
             entries.append(Entry(name, setting, name in on, shifts[name], self.seconds[name], why))
         entries.sort(key=lambda entry: -entry.shift)

@@ -18,8 +18,7 @@ from .pilot import pilot
 from .request import Pilot, Prediction, Request
 
 PUNCTUAL = 0.85
-"""Part of the seconds asked for that a prediction may use: other work on the machine comes and
-goes."""
+"""Part of the seconds asked for that a prediction may use: the load of the machine varies."""
 WORTHWHILE = 4.0
 """Seconds that must be left after the first run, in those that it took, so that its parts are
 measured and another run is made: measuring takes about twice as long as the first run."""

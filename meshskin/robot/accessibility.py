@@ -1,4 +1,4 @@
-"""Ways through the air on which an indenter leaves a contact, or comes to it from outside."""
+"""Straight paths through the air on which an indenter leaves a contact, or comes to it."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..geometry.body import Body
 
-WAYS = 256
-"""Directions that are tried, on a spiral over the sphere: none is further than 10 degrees from one
-of them, as far as the rim of an opening from its middle, seen from three of its diameters."""
+DIRECTIONS = 256
+"""Directions that are tried, on a spiral over the sphere. Every direction is within 10 degrees of
+one of them: the angle between the axis and the rim of an opening, seen from three diameters."""
 SLACK = 0.05
-"""Part of the indenter's radius by which it may overlap the body on its way, as it starts in
-contact; and its least step, relative to its radius."""
+"""Part of the indenter's radius by which it may overlap the body on its path, as it starts in
+contact; also its least step, relative to its radius."""
 
 
 def enclosed(body: Body, points: Array, normals: Array, radius: float) -> NDArray[np.bool_]:
-    """Whether (k,) no straight way leads an indenter of `radius`, m, out of the body.
+    """Whether (k,) no straight path leads an indenter of `radius`, m, out of the body.
 
-    points (k, 3): contact points, m; normals (k, 3): outward. The first way is the normal; where
-    the body is ahead, others are tried, from halfway to it and from the contact itself. The
-    indenter is a sphere here, as in the motion through the air: its support is tested at the
-    contact alone.
+    points (k, 3): contact points, m; normals (k, 3): outward. The normal is tried first. Where it
+    meets the body, other directions are tried, from half the free length along the normal and from
+    the contact itself. The indenter is a sphere here, as in the motion through the air: its support
+    is tested at the contact only.
     """
     centres = points + radius * normals
     ahead = free_lengths(body, centres, normals, radius)
     held = np.flatnonzero(np.isfinite(ahead))
     for part in (0.5, 0.0):
-        for way in directions(WAYS):
+        for direction in spread_directions(DIRECTIONS):
             start = centres[held] + part * ahead[held, None] * normals[held]
-            length = free_lengths(body, start, np.tile(way, (len(held), 1)), radius)
+            length = free_lengths(body, start, np.tile(direction, (len(held), 1)), radius)
             held = held[~np.isinf(length)]
     out = np.zeros(len(points), dtype=bool)
     out[held] = True
     return out
 
 
-def directions(count: int) -> Array:
+def spread_directions(count: int) -> Array:
     """Unit vectors (count, 3), evenly over the sphere: the Fibonacci lattice.
 
     Source: Gonzalez, "Measurement of areas on a sphere using Fibonacci and latitude-longitude
@@ -49,7 +49,7 @@ def directions(count: int) -> Array:
     return np.column_stack([across * np.cos(angle), across * np.sin(angle), z])
 
 
-def free_lengths(body: Body, start: Array, ways: Array, radius: float) -> Array:
+def free_lengths(body: Body, start: Array, directions: Array, radius: float) -> Array:
     """How far (k,), m, a sphere of `radius`, m, moves from centres (k, 3) along unit vectors (k, 3)
     before it meets the body; inf where it never does.
 
@@ -59,7 +59,7 @@ def free_lengths(body: Body, start: Array, ways: Array, radius: float) -> Array:
     longest = float(np.linalg.norm(np.ptp(body.mesh.bounds, axis=0))) + 2.0 * radius
     length, going = np.zeros(len(start)), np.arange(len(start))
     while len(going):
-        at = start[going] + length[going, None] * ways[going]
+        at = start[going] + length[going, None] * directions[going]
         gap = np.abs(body.surface.nearest(at).distance) - radius + least
         going, gap = going[gap >= 0.0], gap[gap >= 0.0]
         length[going] += np.maximum(gap, least)

@@ -7,7 +7,7 @@ import trimesh
 import meshskin as ms
 from meshskin.core.errors import ReachError
 from meshskin.robot import collision
-from meshskin.robot.free_way import WAYS, directions, enclosed, free_lengths
+from meshskin.robot.accessibility import DIRECTIONS, enclosed, free_lengths, spread_directions
 
 
 def shell(opening):
@@ -37,7 +37,7 @@ def test_an_indenter_leaves_a_shell_through_its_opening_alone(opening, held):
 def test_directions_leave_no_wide_gap():
     anywhere = np.random.default_rng(0).normal(size=(4000, 3))
     anywhere /= np.linalg.norm(anywhere, axis=1)[:, None]
-    nearest = np.arccos(np.clip(anywhere @ directions(WAYS).T, -1, 1)).min(axis=1)
+    nearest = np.arccos(np.clip(anywhere @ spread_directions(DIRECTIONS).T, -1, 1)).min(axis=1)
     assert np.degrees(nearest.max()) < 10.0
 
 
