@@ -45,8 +45,8 @@ def test_plans_print_how_long_they_are():
         unreachable={7: "joint limit"},
     )
     text = repr(Plan(path, 2e-3))
-    assert "1 segments, 2.5 s" in text
-    assert "1 taxels left out" in text
+    assert "1 segment, 2.5 s" in text
+    assert "1 taxel left out" in text
     assert "array" not in text
 
 
@@ -61,3 +61,9 @@ def test_estimates_print_what_came_of_them(sphere):
     assert repr(graph.solve()).startswith(
         f"<PoseGraphSolution of {graph!r}: optimal, geodesic cost"
     )
+
+
+def test_modules_print_their_number():
+    body = ms.Body.capsule(radius=0.04, length=0.15)
+    made = ms.Skin.modules(body, region=ms.Disc(point=(0.04, 0, 0), radius=0.04))
+    assert repr(made) == f"<Modules: {len(made)} of 10 taxels>"

@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import TextIO
+from typing import NoReturn, TextIO
 
 from ..core.errors import MeshskinError
 from . import (
@@ -140,10 +140,17 @@ def _interruptions() -> Iterator[list[int]]:
         sys.unraisablehook = hook
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, as all others of the command line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: {message}; {self.prog} --help lists what it takes\n")
+
+
 def _parser() -> argparse.ArgumentParser:
     from ..core.provenance import versions
 
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="meshskin", description="Self-calibration of robot skin on any body mesh."
     )
     parser.add_argument("--version", action="version", version=f"meshskin {versions()['meshskin']}")

@@ -151,12 +151,14 @@ class Plan(Value, Card, Tabular):
     """The contacts to press with a carried indenter, see `contact_plan`; None: the body moves."""
 
     def __repr__(self) -> str:
-        path, apart = self.path, f"{1e3 * self.spacing:.4g} mm apart"
+        path, left_out = self.path, len(self.path.unreachable)
+        apart = f"{1e3 * self.spacing:.4g} mm apart"
         what = f"{len(path.points)} contacts to press, {apart}"
         if self.contacts is None:
             sliding = f"{path.dt * len(path.points):.4g} s of sliding"
-            what = f"{len(path.breaks) + 1} segments, {sliding}, lanes {apart}"
-        return f"<Plan: {what}, {len(path.unreachable)} taxels left out>"
+            parts = len(path.breaks) + 1
+            what = f"{parts} segment{'s' * (parts > 1)}, {sliding}, lanes {apart}"
+        return f"<Plan: {what}, {left_out} taxel{'s' * (left_out != 1)} left out>"
 
     def facts(self) -> dict[str, str]:
         """Segments or contacts, time, what is left out and why, for a notebook."""

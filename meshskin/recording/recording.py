@@ -284,6 +284,11 @@ class Recording(Value, Card):
             if file.exists():
                 tables[part], headers[part] = read_table(file)
             elif part != "motion":
+                if path.is_file():
+                    raise RecordingError(
+                        f"{path} is one file, which needs a map that says what its columns are",
+                        remedy=f"meshskin init {path} writes one; then --map, or ms.read_log",
+                    )
                 raise RecordingError(
                     f"no recording at {path}: {file.name} is missing",
                     remedy="check the path; a log is contacts.csv and readings.csv in a folder, "

@@ -306,6 +306,9 @@ class Modules(Value):
     def __len__(self) -> int:
         return len(self.numbers)
 
+    def __repr__(self) -> str:
+        return f"<Modules: {len(self)} of {len(slots.TAXELS)} taxels>"
+
     @cached_property
     def skin(self) -> Skin:
         """The taxels, ten a module, with the orientation of their module."""

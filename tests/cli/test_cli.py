@@ -94,10 +94,39 @@ def test_unknown_scene(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "meshskin: the following arguments are required: COMMAND; meshskin --help"),
+        (["runn"], "invalid choice: 'runn'"),
+        (["run", "sphere"], "meshskin run: the following arguments are required: --out;"),
+        (["run", "sphere", "--out", "o", "--seconds", "a"], "invalid float value: 'a'"),
+    ],
+)
+def test_a_wrong_command_line_is_said_in_one_line(capsys, words, said):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(words)
+    assert ended.value.code == 2
+    line = capsys.readouterr().err
+    assert said in line
+    assert line.count("\n") == 1
+
+
+def test_a_file_that_is_not_what_a_command_takes_is_named(capsys, tmp_path):
+    table, mesh = tmp_path / "log.csv", tmp_path / "body.stl"
+    table.write_text("time,x\n0,1\n")
+    mesh.write_bytes(b"solid \x9d\xff")
+    assert "unknown format of a mesh, got 'csv'" in fails(capsys, "check", str(table))
+    assert "body.stl is not a skin file, got binary data" in fails(capsys, "lint", str(mesh))
+    robot = ["--body", str(mesh), "--units", "mm", "--indenter-radius-mm", "10", "--raw"]
+    line = fails(capsys, "calibrate", str(table), *robot, "--out", str(tmp_path / "out"))
+    assert f"needs a map that says what its columns are; meshskin init {table} writes one" in line
+
+
+@pytest.mark.parametrize(
     ("options", "words"),
     [
         (["run", "sphere", "--seed", "-1"], "seed is out of range, got -1, limit: at least 0"),
-        (["run", "sphere", "--accuracy-mm", "nan"], "the accuracy asked for must be finite"),
+        (["run", "sphere", "--accuracy-mm", "nan"], "the accuracy asked for must be positive"),
         (["run", "sphere", "--seconds", "0"], "got 0 s, limit: above 0"),
         (["cost", "sphere", "--seeds", "0"], "seeds is out of range, got 0, limit: at least 1"),
     ],

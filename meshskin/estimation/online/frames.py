@@ -43,7 +43,7 @@ class ContactFrames(Value):
 
     def __post_init__(self) -> None:
         points = np.atleast_2d(check_array("contact points", self.points, error=RecordingError))
-        points = check_vectors("contact points", points.reshape(-1, 3), error=RecordingError)
+        points = check_vectors("contact points", points, error=RecordingError)
         force = np.atleast_1d(check_array("contact forces", self.force, error=RecordingError))
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "force", np.broadcast_to(force, len(points)))
@@ -53,7 +53,9 @@ class ContactFrames(Value):
             ("errors", (len(points), 3)),
         ):
             if (value := getattr(self, name)) is not None:
-                value = np.asarray(value, dtype=float).reshape(-1, *shape[1:])
+                value = np.asarray(value, dtype=float)
+                if value.ndim < len(shape):  # of one frame
+                    value = value[None]
                 if value.shape != shape:
                     raise RecordingError(
                         f"{name} of contact frames", value=f"shape {value.shape}", limit=str(shape)

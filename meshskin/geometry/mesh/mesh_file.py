@@ -28,6 +28,7 @@ def unit(path: Path, units: str | None) -> float | None:
 
     Raises MeshError.
     """
+    _check(path)
     if units is None:
         if _kind(path) == "dae":
             return None
@@ -54,11 +55,8 @@ def _kind(path: Path) -> str:
     return path.suffix.lower().lstrip(".")
 
 
-def read(path: Path, scale: float | None = None) -> Triangles:
-    """The triangles of a file whose unit is `scale`, m; None: 1 m, or what a Collada file says.
-
-    Raises MeshError.
-    """
+def _check(path: Path) -> str:
+    """The format of a file. Raises MeshError unless it is there, and a mesh by its suffix."""
     kind = _kind(path)
     if kind not in FORMATS:
         raise MeshError(
@@ -66,6 +64,15 @@ def read(path: Path, scale: float | None = None) -> Triangles:
         )
     if not path.is_file():
         raise MeshError("the mesh file does not exist", value=str(path))
+    return kind
+
+
+def read(path: Path, scale: float | None = None) -> Triangles:
+    """The triangles of a file whose unit is `scale`, m; None: 1 m, or what a Collada file says.
+
+    Raises MeshError.
+    """
+    kind = _check(path)
     try:
         if kind == "obj":
             text = path.read_text(encoding="utf-8", errors="replace")

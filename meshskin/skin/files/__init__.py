@@ -56,7 +56,11 @@ def read(path: Path, part: str | None = None) -> SkinTable:
             return npz.read(data, path.name)
         text = data.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise SkinError(f"{path.name} is not a skin file", value=str(error)) from error
+        raise SkinError(
+            f"{path.name} is not a skin file",
+            value="binary data" if isinstance(error, UnicodeDecodeError) else str(error),
+            limit=f"one of {', '.join(FORMATS)}",
+        ) from error
     if text.startswith("ply"):
         return ply.read(text, path.name)
     if text.lstrip().startswith("<"):

@@ -38,7 +38,9 @@ class Request:
         if not (np.isfinite(given[0]) and given[0] > 0):
             kind = "accuracy" if self.seconds is None else "time"
             raise ConfigError(
-                f"the {kind} asked for must be finite", value=self.words, limit="above 0"
+                f"the {kind} asked for must be positive and finite",
+                value=self.words,
+                limit="above 0",
             )
 
     @property

@@ -240,6 +240,20 @@ def test_recordings_that_calibrate_refuses_are_refused(world):
     assert online.frames == 0
 
 
+def test_frames_of_another_shape_are_refused():
+    """Arrays that were transposed have the right size."""
+    points = np.zeros((3, 3))
+    with pytest.raises(RecordingError, match=r"contact points must be vectors, got shape \(3, 2\)"):
+        ms.ContactFrames(np.zeros((3, 2)), 3.0)
+    with pytest.raises(RecordingError, match=r"errors of contact frames, got shape \(3, 2\)"):
+        ms.ContactFrames(points[:2], 3.0, errors=np.zeros((3, 2)))
+    with pytest.raises(RecordingError, match=r"headings of contact frames, got shape"):
+        ms.ContactFrames(points, 3.0, headings=np.zeros((9, 3)))
+    one = ms.ContactFrames(points[0], 3.0, headings=np.eye(3), time=0.5, errors=points[0])
+    assert one.points.shape == one.errors.shape == (1, 3)
+    assert (one.headings.shape, one.time.shape) == ((1, 3, 3), (1,))
+
+
 def test_readings_and_beliefs_that_only_a_batch_can_use_are_refused(world):
     online = ms.OnlineCalibration(world.belief(NOISE, THRESHOLD))
     with pytest.raises(RecordingError, match="a reading of every taxel"):
