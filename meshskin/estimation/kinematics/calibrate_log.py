@@ -64,7 +64,8 @@ def calibrate_log(
 
     belief: the body in its frame, the indenter's radius and the materials; its readings="raw" where
     the log has counts. Forces are the log's, else the reference force at every contact, whose
-    errors the learned response estimates. progress: as of `calibrate`, in each round.
+    errors the learned response estimates. The believed noise of a reading is the least: the joint
+    angles have some, too, by which contacts scatter. progress: as of `calibrate`, in each round.
     Raises UnknownNameError for a joint that the log lacks,
     RecordingError for a log without contacts, CalibrationError where the heights do not converge,
     and as `calibrate`.
@@ -85,10 +86,13 @@ def calibrate_log(
     belief = replace(belief, force_reference=reference)
     used, clock, heights, x = _started(log, kinematics, path, belief, reference)
     rounds, moved = 0, np.inf
+    noise = belief.noise_sigma if belief.readings == RAW else None
     while rounds < MAX_ROUNDS and moved > LINEAR:
         rounds += 1
-        known = replace(belief, surface_sigma=heights.mesh_error.sigma)
+        known = replace(belief, surface_sigma=heights.mesh_error.sigma, noise_sigma=noise)
         found, recording, values, moved = _estimated(used, heights, x, known, reference, progress)
+        if noise is None and not _exceeds(found, belief.noise_sigma):
+            noise, moved = belief.noise_sigma, np.inf
         late = heights.model.value("clock_offset", values)
         if log.force is not None and abs(late) > TIMED:
             used, clock, heights, x = _started(
@@ -133,6 +137,12 @@ def _estimated(
     values = np.array([found.unknowns[label][0] for label in kinematics.labels])
     moved = kinematics.centres(path, time, values)[0] - centres - slopes @ (values - s)
     return found, recording, values, float(np.median(np.linalg.norm(moved, axis=1)))
+
+
+def _exceeds(found: Calibration, noise: float | None) -> bool:
+    """Whether readings of neighbouring contacts differ by more than the believed noise, Pa, or none
+    is believed: contacts scatter with the noise of the joint angles, and the readings with them."""
+    return noise is None or (found.fit is not None and found.fit.noise > noise)
 
 
 def _with_clock(found: Calibration, clock: float) -> Calibration:
