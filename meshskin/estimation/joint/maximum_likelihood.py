@@ -37,7 +37,7 @@ from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .contact_fields import contact_fields
 from .departures import departure_scores, fitted_readings
-from .fault_detection import outliers, stuck_taxels
+from .fault_detection import even, outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .jump import Jump, jump_of
 from .likelihood_widths import widened
@@ -313,11 +313,11 @@ def _scale_and_fit(
     """
     data, problem, state = estimator.data, estimator.problem, estimator.state
     readings, r = estimator.likelihood.readings, estimator.residuals()
-    kept = readings.weight - problem.leverages(state, reduced)  # of standardized residuals
+    kept = readings.weight - problem.leverages(state, reduced)
     known = data.noise is not None and not data.noise_pairs
     noise = Noise(1.0, 0) if known else estimate_noise(estimator, reduced)
     clear = clear_of_limits(predictions(readings, r, data), data, noise.scale)
-    clear &= readings.even & ~estimator.broken[readings.taxel]
+    clear &= even(readings) & ~estimator.broken[readings.taxel]
     square, freedom = float(readings.weight[clear] @ r[clear] ** 2), float(np.sum(kept[clear]))
     fit = goodness_of_fit(
         chi2=square / noise.scale**2,
@@ -329,7 +329,7 @@ def _scale_and_fit(
     fit = replace(fit, noise=noise.scale * data.sigma, pairs=noise.pairs)
     scale = 1.0 if known else noise.scale**2
     if data.noise is None:
-        observed = (readings.kind == OBSERVED) & readings.even
+        observed = (readings.kind == OBSERVED) & even(readings)
         square = float(readings.weight[observed] @ r[observed] ** 2)
         scale = square / max(float(kept[observed].sum()), 1.0)
     elif not known and freedom > 0:
