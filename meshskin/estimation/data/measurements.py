@@ -283,6 +283,11 @@ class Measurements:
         hit = replace(hit, curvature=self.curvature, direction=self.directions)
         return unevenness(self.belief, hit, self.force) * self.peaks / self.sigma
 
+    @property
+    def edges(self) -> int:
+        """Number of contacts over edges of the body."""
+        return int(np.count_nonzero(self.unevenness))
+
     @cached_property
     def precision(self) -> Array:
         """Precisions (m,) of a contact's readings, relative to that of the noise: 1, and less where

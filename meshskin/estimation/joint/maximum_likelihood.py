@@ -40,6 +40,7 @@ from .departures import departure_scores, fitted_readings
 from .fault_detection import even, outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .jump import Jump, jump_of
+from .likelihood import Readings
 from .likelihood_widths import widened
 from .module_parametrization import (
     MODULE_SURFACE,
@@ -276,6 +277,18 @@ def _result(
     )
 
 
+def _variance(readings: Readings, r: Array, kept: Array) -> float:
+    """Variance of the residuals r (k,), of which each has the part kept (k,), of observed readings
+    that tell of the noise; where most do not, that of all, and no less than that of the nominal
+    noise: their residuals are smaller than edges may make them."""
+    observed = readings.kind == OBSERVED
+    counted = observed & even(readings)
+    few = kept[counted].sum() < 0.5 * kept[observed].sum()
+    counted = observed if few else counted
+    square = float(readings.weight[counted] @ r[counted] ** 2)
+    return max(square / max(float(kept[counted].sum()), 1.0), 1.0 if few else 0.0)
+
+
 def _factors(data: Measurements, fit: GoodnessOfFit) -> list[str]:
     """What the readings and the contacts that are used have in the estimate, in words."""
     factors = ["pressure of each reading"]
@@ -329,9 +342,7 @@ def _scale_and_fit(
     fit = replace(fit, noise=noise.scale * data.sigma, pairs=noise.pairs)
     scale = 1.0 if known else noise.scale**2
     if data.noise is None:
-        observed = (readings.kind == OBSERVED) & even(readings)
-        square = float(readings.weight[observed] @ r[observed] ** 2)
-        scale = square / max(float(kept[observed].sum()), 1.0)
+        scale = _variance(readings, r, kept)
     elif not known and freedom > 0:
         scale = square / freedom
     if fit.good is False:
