@@ -296,6 +296,11 @@ class Measurements:
             return np.ones(len(self.points))
         return np.asarray(1 / (1 + (self.unevenness * self.peaks / self.sigma) ** 2))
 
+    @property
+    def spread(self) -> Array:
+        """Standard deviations (m,), Pa, of the contacts' readings."""
+        return np.asarray(self.sigma / np.sqrt(self.precision))
+
     @cached_property
     def counts(self) -> np.ndarray:
         """Readings (n,) of each taxel."""
