@@ -22,6 +22,7 @@ from . import centroid, chart
 from .calibration import Calibration
 from .data.gather import gather, gather_or_learn
 from .data.measurements import Measurements
+from .data.patch_shape import MAX_EDGES
 from .joint import learned, maximum_likelihood
 from .joint.departures import MIN_SCORE
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
@@ -200,7 +201,9 @@ class Estimation:
         )
 
     def _contradicted(self, found: EstimatorResult) -> bool:
-        """Whether the readings contradict the contact model."""
+        """Whether the readings contradict the contact model, or cannot, over edges of the body."""
+        if self.data.edges > MAX_EDGES * len(self.data.points):
+            return True
         if found.fit is not None and found.fit.of_computing(self.data.pressure):
             return False
         misfits = found.fit is not None and found.fit.good is False

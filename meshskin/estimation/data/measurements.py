@@ -283,6 +283,11 @@ class Measurements:
         hit = replace(hit, curvature=self.curvature, direction=self.directions)
         return unevenness(self.belief, hit, self.force) * self.peaks / self.sigma
 
+    @property
+    def edges(self) -> int:
+        """Number of contacts over edges of the body."""
+        return int(np.count_nonzero(self.unevenness))
+
     @cached_property
     def precision(self) -> Array:
         """Precisions (m,) of a contact's readings, relative to that of the noise: 1, and less where
@@ -290,6 +295,11 @@ class Measurements:
         if not len(self.unevenness):
             return np.ones(len(self.points))
         return np.asarray(1 / (1 + (self.unevenness * self.peaks / self.sigma) ** 2))
+
+    @property
+    def spread(self) -> Array:
+        """Standard deviations (m,), Pa, of the contacts' readings."""
+        return np.asarray(self.sigma / np.sqrt(self.precision))
 
     @cached_property
     def counts(self) -> np.ndarray:

@@ -56,6 +56,9 @@ EDGE = 0.05
 """Unevenness from which contacts are over an edge. Smooth bodies have less where their curvature
 jumps (0.044 where the caps of bodies/capsule.toml begin) or changes (0.002 on its torus); and the
 contact models themselves hold to some percent of the peak (layered.py)."""
+MAX_EDGES = 0.5
+"""Largest part of the contacts over edges: with more, most residuals tell nothing of noise and
+model."""
 GRAZING = 1e-6
 """Sine of the elevation over the surface within which a point in a tangent plane is outside of it:
 far above rounding."""

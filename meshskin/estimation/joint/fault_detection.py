@@ -74,6 +74,12 @@ def outliers(readings: Readings) -> np.ndarray:
     return np.asarray(readings.weight < 0.5)
 
 
+def even(readings: Readings) -> np.ndarray:
+    """Readings (k,) bool that noise changes by more than an edge of the body may: their residuals
+    tell of noise and model."""
+    return np.asarray(readings.precision > 0.5)
+
+
 def mean_log_likelihood(
     readings: Readings, r: Array, scale: float, out: np.ndarray, width: float
 ) -> float:

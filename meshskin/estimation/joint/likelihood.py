@@ -67,17 +67,6 @@ class Readings:
         each = {f.name: getattr(self, f.name)[~left_out] for f in fields(self)[:-1]}
         return Readings(**each, starts=starts)
 
-    @property
-    def total(self) -> Array:
-        """Weight times precision (k,): the factor of each reading's cost."""
-        return self.weight * self.precision
-
-    @property
-    def even(self) -> np.ndarray:
-        """Readings (k,) bool whose noise is larger than what an edge of the body may do to them:
-        their residuals tell of noise and model."""
-        return np.asarray(self.precision > 0.5)
-
     def of(self, taxels: np.ndarray) -> np.ndarray:
         """Rows of the readings of some taxels, in their order."""
         count = self.starts[taxels + 1] - self.starts[taxels]
@@ -85,14 +74,9 @@ class Readings:
 
 
 def select(
-    data: Measurements,
-    live: np.ndarray,
-    points: Array,
-    normals: Array,
-    log_radius: float,
-    weight: Array,
-    silent_weight: Array,
-) -> Readings:
+    data: Measurements, live: np.ndarray, points: Array, normals: Array, log_radius: float,
+    weight: Array, silent_weight: Array,
+) -> Readings:  # fmt: skip
     """The readings that inform about `live`: rows of data.ids, several times for copies of a taxel.
 
     points (n, 3), m, and outward normals (n, 3): of these taxels, as estimated.
@@ -113,11 +97,10 @@ def select(
         height = np.einsum("ki,ki->k", offset, data.normals[contact])
         across2 = np.einsum("ki,ki->k", offset, offset) - height**2
         inside &= across2 < (data.reach(scale)[contact] + REACH_MARGIN) ** 2
+        silent_contact, silent_taxel = silent_pairs(data, live, points, normals, scale)
     rest = data.rest if "offset" in data.parameters.nuisance_names else np.zeros(len(data.ids))
     inside |= data.pressure[mine] > rest[data.taxel[mine]] + MISFIT_SIGMAS * data.sigma
     mine, taxel = mine[inside], taxel[inside]
-    if data.noise is not None:
-        silent_contact, silent_taxel = silent_pairs(data, live, points, normals, scale)
     none = np.full(len(silent_contact), -1)
     contact = np.concatenate([data.contact[mine], silent_contact])
     taxel = np.concatenate([taxel, silent_taxel])
@@ -226,7 +209,8 @@ class Likelihood:
             curvature = costs(mu, read.level[part] / self.data.sigma, read.kind[part])[2]
             jacobian = jacobian[: covariance.shape[1]]
             seen = np.einsum("kij,jk->ik", covariance[read.taxel[part]], jacobian)
-            parts.append(read.total[part] * curvature * np.sum(jacobian * seen, axis=0))
+            factor = read.weight[part] * read.precision[part] * curvature
+            parts.append(factor * np.sum(jacobian * seen, axis=0))
         return np.concatenate(parts)
 
     def _each(
@@ -247,7 +231,8 @@ class Likelihood:
         owner, starts = np.repeat(np.arange(len(rows)), count), np.cumsum(count) - count
         mu, jacobian = self.predict(read.contact[k], points[owner], nuisance[owner], contacts)
         jacobian = jacobian[: 3 + nuisance.shape[1] + self.shared]
-        level, weight, kind = read.level[k] / self.data.sigma, read.total[k], read.kind[k]
+        level, kind = read.level[k] / self.data.sigma, read.kind[k]
+        weight = read.weight[k] * read.precision[k]
         cost, rate, curvature = costs(mu, level, kind)
         square = np.where(kind == OBSERVED, (mu - level) ** 2, 0.0)
         hessian = np.empty((len(rows), len(jacobian), len(jacobian)))

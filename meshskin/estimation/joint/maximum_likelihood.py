@@ -33,8 +33,9 @@ from ..result import (
 )  # fmt: skip
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
-from .fault_detection import outliers, stuck_taxels
+from .fault_detection import even, outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
+from .likelihood import Readings
 from .likelihood_widths import widened
 from .model_departures import ModelDepartures
 from .module_parametrization import (
@@ -288,6 +289,18 @@ def _modulus(estimator: JointEstimator, covariance: Array) -> tuple[float, float
     return modulus, modulus * float(np.hypot(own, by_radius))
 
 
+def _variance(readings: Readings, r: Array, kept: Array) -> float:
+    """Variance of the residuals r (k,), of which each has the part kept (k,), of observed readings
+    that tell of the noise; where most do not, that of all, and no less than that of the nominal
+    noise: their residuals are smaller than edges may make them."""
+    observed = readings.kind == OBSERVED
+    counted = observed & even(readings)
+    few = kept[counted].sum() < 0.5 * kept[observed].sum()
+    counted = observed if few else counted
+    square = float(readings.weight[counted] @ r[counted] ** 2)
+    return max(square / max(float(kept[counted].sum()), 1.0), 1.0 if few else 0.0)
+
+
 def _factors(data: Measurements, fit: GoodnessOfFit) -> list[str]:
     """What the readings and the contacts that are used have in the estimate, in words."""
     factors = ["pressure of each reading"]
@@ -325,11 +338,11 @@ def _scale_and_fit(
     """
     data, problem, state = estimator.data, estimator.problem, estimator.state
     readings, r = estimator.likelihood.readings, estimator.residuals()
-    kept = readings.weight - problem.leverages(state, reduced)  # of standardized residuals
+    kept = readings.weight - problem.leverages(state, reduced)
     known = data.noise is not None and not data.noise_pairs
     noise = Noise(1.0, 0) if known else estimate_noise(estimator, reduced)
     clear = clear_of_limits(predictions(readings, r, data), data, noise.scale)
-    clear &= readings.even & ~estimator.broken[readings.taxel]
+    clear &= even(readings) & ~estimator.broken[readings.taxel]
     square, freedom = float(readings.weight[clear] @ r[clear] ** 2), float(np.sum(kept[clear]))
     fit = goodness_of_fit(
         chi2=square / noise.scale**2,
@@ -341,9 +354,7 @@ def _scale_and_fit(
     fit = replace(fit, noise=noise.scale * data.sigma, pairs=noise.pairs)
     scale = 1.0 if known else noise.scale**2
     if data.noise is None:
-        observed = (readings.kind == OBSERVED) & readings.even
-        square = float(readings.weight[observed] @ r[observed] ** 2)
-        scale = square / max(float(kept[observed].sum()), 1.0)
+        scale = _variance(readings, r, kept)
     elif not known and freedom > 0:
         scale = square / freedom
     if fit.good is False:

@@ -20,7 +20,7 @@ from ...core.arrays import Array
 from ..data.measurements import NOMINAL_NOISE, Measurements
 from ..data.pairs import SILENT_SIGMAS, silent_pairs
 from ..uncertainty.goodness_of_fit import MIN_PAIRS
-from .fault_detection import MIN_SCALE, outliers
+from .fault_detection import MIN_SCALE, even, outliers
 from .joint_estimator import JointEstimator
 from .likelihood import Readings
 from .pressure import CENSORED, OBSERVED
@@ -100,7 +100,7 @@ def estimate_noise(estimator: JointEstimator, reduced: SchurComplement) -> Noise
     """
     data, readings, r = estimator.data, estimator.likelihood.readings, estimator.residuals()
     mu, least = predictions(readings, r, data), least_scale(data)
-    sound = (readings.kind == OBSERVED) & ~outliers(readings) & readings.even
+    sound = (readings.kind == OBSERVED) & ~outliers(readings) & even(readings)
     noise = _scatter(estimator, reduced, r, sound)
     for _ in range(MAX_ITERATIONS):
         clear = sound & clear_of_limits(mu, data, max(noise.scale, least))

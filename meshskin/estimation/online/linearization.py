@@ -80,7 +80,9 @@ def new_readings(
     _, rate, curvature = costs(mu, level, found.kind)
     variance = 1 + found.precision * np.einsum("ki,kij,kj->k", jacobian, covariance[own], jacobian)
     residual = faults.residuals(found, mu, data.sigma) / np.sqrt(variance)
-    clear = (found.kind == OBSERVED) & found.even & clear_of_limits(mu, data, np.sqrt(variance))
+    clear = (
+        (found.kind == OBSERVED) & faults.even(found) & clear_of_limits(mu, data, np.sqrt(variance))
+    )
     rate, curvature = rate * found.precision, curvature * found.precision
     return NewReadings(own, found.contact, jacobian, rate, curvature, residual, clear)
 
@@ -193,7 +195,7 @@ def summary(estimator: JointEstimator, misfits: np.ndarray) -> LocalEstimate:
     known = SchurComplement(0.0, np.zeros(shared), KNOWN * np.eye(shared))
     kept = readings.weight - problem.leverages(state, known)
     clear = clear_of_limits(predictions(readings, r, estimator.data), estimator.data)
-    clear &= (readings.kind == OBSERVED) & readings.even
+    clear &= (readings.kind == OBSERVED) & faults.even(readings)
     weight, owner = readings.weight[clear], readings.taxel[clear]
     outlying = np.bincount(readings.taxel, faults.outliers(readings), n).astype(int)
     read = np.bincount(readings.taxel, readings.kind == OBSERVED, n)

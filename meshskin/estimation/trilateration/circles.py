@@ -129,7 +129,7 @@ def circles(
         data.points[contact],
         data.normals[contact],
         radii,
-        scale * np.hypot(steepness, SLOPE_FLOOR) / data.sigma,
+        scale * np.hypot(steepness, SLOPE_FLOOR) / data.spread[contact],
         steepness,
         data.radii[contact],
         len(data.ids) if owner is None else int(owners.max(initial=-1)) + 1,

@@ -125,7 +125,7 @@ class SharedContacts:
             data = self.data
             while len(self._noise) <= draw:
                 self._noise.append(self._rng.standard_normal(len(data.pressure)))
-            noise = level * data.sigma * self._noise[draw]
+            noise = level * data.spread[data.contact] * self._noise[draw]
             noisy = replace(data, pressure=data.pressure + noise)
             self._perturbed[draw, level] = circles(noisy, self.fit.points, self.rows, self.owner)
         return self._perturbed[draw, level]

@@ -75,7 +75,7 @@ def point_circles(data: Measurements, rows: np.ndarray, owner: np.ndarray, count
     a, peak = data.radii[contact], data.peaks[contact]
     r = point_distance(data.pressure[rows], peak, a)
     slope = data.slope[rows]
-    noise = data.sigma / np.hypot(slope, SLOPE_FLOOR * peak / a)
+    noise = data.spread[contact] / np.hypot(slope, SLOPE_FLOOR * peak / a)
     return Circles(
         owner=owner,
         reading=rows,

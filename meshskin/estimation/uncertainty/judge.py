@@ -16,6 +16,7 @@ from ...core.arrays import Array
 from ...recording.recording import JOINT_ANGLES
 from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_parameters
+from ..data.patch_shape import MAX_EDGES
 from ..data.unit_checks import angles
 from ..joint.contact_correlations import MAX_CORRELATION
 from ..joint.departures import MIN_SCORE
@@ -74,6 +75,7 @@ def judge(
         lambda: verdict.scale(data, calibration),
         lambda: _priors(data, calibration),
         lambda: _surface(data, calibration),
+        lambda: _edges(data),
         lambda: _normals(recording, data),
         lambda: swapped_axes.findings(recording, data, nearer_points(data, calibration.unknowns)),
         lambda: weighted_means.findings(data, calibration),
@@ -234,6 +236,19 @@ def _surface(data: Measurements, calibration: Calibration) -> list[Finding]:
         "indenter_offset unknown"
     )
     return [(level, words)]
+
+
+def _edges(data: Measurements) -> list[Finding]:
+    """Contacts over edges of the body, where no contact model describes the patch."""
+    count, all_contacts = data.edges, len(data.points)
+    if count <= MAX_EDGES * all_contacts:
+        return []
+    words = (
+        f"{count} of {all_contacts} contacts are over edges of the body (limit {MAX_EDGES:.0%}), "
+        "where the contact model does not hold: whether it holds elsewhere is not tested; let it "
+        'learn the response: contact="auto" or "learned"; or believe a smoother body'
+    )
+    return [(DOUBT, words)]
 
 
 def _normals(recording: Recording, data: Measurements) -> list[Finding]:
