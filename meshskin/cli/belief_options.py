@@ -82,6 +82,30 @@ def add(parser: argparse.ArgumentParser) -> None:
         "modulus (default), gain, offset, force_scale, force_offset, indenter_offset, body_offset, "
         "drag, friction",
     )  # fmt: skip
+    known.add_argument(
+        "--response-groups", nargs="+", metavar="IDS", help="taxels of each further skin or "
+        "amplifier, whose response is learned on its own: 48-95,108-119 (default: looked for)",
+    )  # fmt: skip
+
+
+def _response_groups(options: argparse.Namespace) -> tuple[np.ndarray, ...]:
+    """Ids of the taxels of each group of --response-groups. Raises ConfigError."""
+    try:
+        return tuple(
+            np.concatenate([_range(*part.partition("-")) for part in group.split(",")])
+            for group in options.response_groups
+        )
+    except ValueError as error:
+        raise ConfigError(
+            "--response-groups takes ids and ranges of ids",
+            value=" ".join(options.response_groups),
+            remedy="write each group as 48-95,108-119",
+        ) from error
+
+
+def _range(first: str, _: str, last: str) -> np.ndarray:
+    """Ids from the first to the last, or the first alone. Raises ValueError for other texts."""
+    return np.arange(int(first), int(last or first) + 1)
 
 
 def belief_of(options: argparse.Namespace, taxel_ids: ArrayLike) -> Belief:
@@ -116,6 +140,8 @@ def belief_of(options: argparse.Namespace, taxel_ids: ArrayLike) -> Belief:
         changes["taxel_ids"] = np.array(Skin.load(options.taxels).ids)
     elif not options.scene:
         changes["taxel_ids"] = np.array(taxel_ids, dtype=int)
+    if options.response_groups is not None:
+        changes["response_groups"] = _response_groups(options)
     return replace(belief, **changes)
 
 

@@ -101,6 +101,7 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
         recording.save(options.out / "recording")
     if given.joints is not None:
         metrics["kinematics"] = given.joints.metrics()
+    validation = None
     if options.cross_validate is not None:
         validation = found.cross_validate(recording, options.cross_validate, belief, progress)
         metrics["cross_validation"] = validation.metrics()
@@ -111,6 +112,7 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
         metrics=metrics,
         seconds=found.seconds,
         provenance=provenance(recording=str(options.recording)),
+        validation=validation,
         progress=progress,
     )
     metrics["seconds"] = {**found.seconds, "all": perf_counter() - clock}

@@ -106,7 +106,8 @@ def cross_validate(
     folds = check_integer("number of folds", folds, least=2, error=CalibrationError)
     belief = belief or recorded_belief(calibration)
     if calibration.response is not None:
-        belief = replace(belief, contact=LEARNED)
+        groups = tuple(other.taxels for other in calibration.response.others)
+        belief = replace(belief, contact=LEARNED, response_groups=groups)
     data = gather(recording, belief)
     belief = replace(belief, force_reference=data.belief.force_reference)
     fold = blocks(data.points, BLOCK * float(np.median(data.reach())))

@@ -18,12 +18,14 @@ from .data.global_parameters import MOTION, MOVES, PRIORS, SIZES, WARMING
 from .data.measurements import Measurements
 from .data.pairs import near_pairs
 from .data.resolve_belief import contact_model
-from .joint.contacts import Contacts, LinearizedContacts
+from .joint.contact_state import Contacts
+from .joint.contacts import LinearizedContacts
 from .joint.deviations import Deviations
 from .joint.known_past import KnownPast
 from .joint.learned import with_learned_response
-from .joint.likelihood import Likelihood, Readings
+from .joint.likelihood import Likelihood
 from .joint.pressure import CENSORED, OBSERVED, SATURATED, costs
+from .joint.readings import Readings
 
 if TYPE_CHECKING:
     from .calibration import Calibration
@@ -252,8 +254,8 @@ class CalibratedSkin:
     ) -> tuple[Array, Array]:  # fmt: skip
         points = self.points[taxel] if points is None else points
         before = None if self.past is None else self.past.before(contact, taxel)
-        likelihood = Likelihood(at, Readings.none())
-        return likelihood.predict(contact, points, self.nuisance[taxel], contacts, before)
+        likelihood, group = Likelihood(at, Readings.none()), at.groups[taxel]
+        return likelihood.predict(contact, points, self.nuisance[taxel], contacts, group, before)
 
     def log_likelihoods(self, contacts: np.ndarray) -> tuple[Array, np.ndarray]:
         """Logarithms (m,) of the joint densities of the readings of `contacts` at their recorded
@@ -295,6 +297,8 @@ def _as_learned(
         p, more = data.parameters, np.full(SIZES[name], PRIORS[name])
         p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, more))
         data = replace(data, parameters=p)
+    groups = tuple(other.taxels for other in response.others)
+    data = replace(data, belief=replace(data.belief, response_groups=groups))
     data = replace(data.referred_to(response.references), learned=True)
     return replace(
         with_learned_response(data, calibration.positions),
@@ -334,7 +338,7 @@ def _shared(calibration: Calibration, data: Measurements) -> Array:
     labels, columns = data.parameters.labels, data.parameters.columns
     s = np.array([calibration.unknowns.get(label, (0.0, 0.0))[0] for label in labels])
     if calibration.response is not None:
-        s[columns["profile"]] = calibration.response.coefficients
+        s[columns["profile"]] = np.concatenate([r.coefficients for r in calibration.response.each])
     if (motion := data.parameters.motion) is not None:
         found = np.array([calibration.unknowns[label][0] for label in motion.labels])
         s[columns[MOTION]] = np.linalg.pinv(motion.root) @ (found - motion.mean)

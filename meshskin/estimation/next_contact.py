@@ -24,7 +24,7 @@ from . import chart
 from .data.measurements import NOMINAL_NOISE
 from .data.pairs import MAX_SLANT
 from .data.resolve_belief import contact_model, with_valid_model
-from .joint.contacts import Contacts
+from .joint.contact_state import Contacts
 from .joint.pressure import disc_means
 from .uncertainty.observability import censored_information
 

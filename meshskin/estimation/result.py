@@ -27,6 +27,8 @@ CONTACT_POINTS = (
     "positions alike"
 )
 """The gauge of an estimate that rests on the recorded contact points."""
+SHOWN_RANGES = 4
+"""Ranges of taxel ids that are listed in words; a module is one range."""
 SURFACE = "body surface: position along the normal and tilt"
 """The factor of an estimate whose taxels lie on the believed surface."""
 
@@ -42,6 +44,14 @@ def name_rivals(faults: np.ndarray, rows: np.ndarray, points: Array, rivals: Arr
 def join_words(*words: str) -> str:
     """Several faults of a taxel as one text; empty ones are left out."""
     return ", ".join(filter(None, words))
+
+
+def ids_in_words(ids: np.ndarray) -> str:
+    """Rising taxel ids as ranges, the first SHOWN_RANGES of them."""
+    parts = np.split(ids, np.flatnonzero(np.diff(ids) > 1) + 1)
+    words = [f"{part[0]} to {part[-1]}" if len(part) > 1 else f"{part[0]}" for part in parts]
+    more = sum(len(part) for part in parts[SHOWN_RANGES:])
+    return ", ".join(words[:SHOWN_RANGES]) + (f" and {more} more" if more else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +116,15 @@ class LearnedResponse(Value):
     references: tuple[float, ...] = ()
     """Force, N, relative curvature, 1/m, peak pressure and E*, Pa, that the response refers to;
     empty in files that were written before it was stated."""
+    taxels: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
+    """Ids of the taxels of this group; empty where all taxels respond alike."""
+    others: tuple[LearnedResponse, ...] = ()
+    """Responses of the further groups of taxels, whose scatter, noise and electronics are these."""
+
+    @property
+    def each(self) -> tuple[LearnedResponse, ...]:
+        """The responses of all groups."""
+        return self, *self.others
 
     @property
     def unit_name(self) -> str:
@@ -131,11 +150,13 @@ class LearnedResponse(Value):
             "creep_time_s": self.creep[1],
             "gain_drift": self.gain_drift,
             "offset_drift": self.offset_drift,
+            "groups": [ids_in_words(one.taxels) for one in self.each if len(one.taxels)],
         }
 
     def values(self) -> dict[str, Any]:
         """The fields as JSON values."""
-        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
+        found = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
+        return {**found, "others": [other.values() for other in self.others]}
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> LearnedResponse:
@@ -146,7 +167,8 @@ class LearnedResponse(Value):
         }
         for name in arrays.keys() & {"levels", "hysteresis", "creep", "references", "alike_parts"}:
             arrays[name] = tuple(map(float, arrays[name]))
-        return cls(**arrays)
+        others = tuple(cls.from_values(other) for other in values.get("others", ()))
+        return cls(**{**arrays, "others": others})
 
     def describe(self) -> tuple[str, ...]:
         """One sentence for each variance, and each departure that the readings show."""
@@ -175,6 +197,9 @@ class LearnedResponse(Value):
         if self.offset_drift:
             words = f"drifts by {self.offset_drift:.2g} {self.unit_name}"
             shown.append(f"the offset of all taxels {words}")
+        if self.others:
+            words = "; ".join(ids_in_words(one.taxels) for one in self.each)
+            shown.append(f"{len(self.each)} groups of taxels have responses of their own: {words}")
         return (
             f"contact points scatter by {1e3 * self.contact_scatter:.2g} mm along each tangent",
             f"forces scatter by {100 * self.force_scatter:.2g} %",

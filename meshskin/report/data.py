@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,9 @@ from ..geometry.body import Body
 from ..recording.recording import Recording
 from ..skin.skin import Skin
 from .plane import MM, Plane, tangent_plane
+
+if TYPE_CHECKING:
+    from ..estimation.cross_validation import CrossValidation
 
 METHOD_NAMES = {
     "joint": "joint maximum likelihood",
@@ -112,6 +115,8 @@ class ReportData:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """By default that of the calibration."""
     body: Body | None = None
+    validation: CrossValidation | None = None
+    """What `Calibration.cross_validate` gave."""
 
     def __post_init__(self) -> None:
         seconds = self.seconds or self.calibration.seconds
@@ -188,6 +193,14 @@ class ReportData:
         """Stated standard deviation of the position (n,), m; NaN where not determined."""
         sigma = np.asarray(self.calibration.position_sigma, dtype=float)
         return np.where(np.isfinite(sigma), sigma, np.nan)
+
+    @cached_property
+    def residuals(self) -> Array:
+        """Root mean square residual of the readings of each taxel (n,), relative to that of the
+        median taxel; NaN where unknown, and of all without degrees of freedom."""
+        r = np.sqrt(np.where(self.located, np.asarray(self.calibration.chi2, dtype=float), np.nan))
+        median = float(np.median(r[np.isfinite(r)])) if np.isfinite(r).any() else 0.0
+        return r / median if median > 0 else np.full(self.count, np.nan)
 
     @cached_property
     def finite_sigma_mm(self) -> Array:

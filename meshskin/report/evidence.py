@@ -1,20 +1,24 @@
 """Sections that a report on a real recording has in place of errors: no truth is needed.
 
-How well held-out contacts are localized, and what the contacts say of the robot's kinematics.
+How well held-out contacts are localized, where residuals are large, and what the contacts say of
+the robot's kinematics.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from .data import ReportData
-from .markup import paragraphs, table
+from .maps import LARGE
+from .markup import SavedFigure, paragraphs, saved_figure, table
 from .theme import compact, significant
 
 HELD_OUT = "Held-out contacts"
 """Title of the section about a cross-validation."""
+SHOWN = 8
+"""Taxels with large residuals that are listed."""
 
 
 def kinematics(data: ReportData) -> dict[str, list[str]]:
@@ -70,3 +74,18 @@ def validation(data: ReportData) -> dict[str, list[str]]:
     )
     header = ("contacts localized by", "rms error (mm)", "95th percentile (mm)")
     return {HELD_OUT: [table(header, rows, numeric=(1, 2)), paragraphs(*words)]}
+
+
+def residuals(data: ReportData, pictures: Sequence[SavedFigure]) -> dict[str, list[str]]:
+    """The section about the residuals over the body, where `pictures` has their map."""
+    if not pictures:
+        return {}
+    r, ids = data.residuals, np.asarray(data.calibration.ids)
+    large = np.flatnonzero(r > LARGE)
+    large = large[np.argsort(-r[large])]
+    words = f"Residuals of {len(large)} of {int(np.isfinite(r).sum())} taxels are more than "
+    words += f"{LARGE:g} times as large as the median taxel's"
+    if len(large):
+        listed = (f"{ids[k]} ({significant(float(r[k]))})" for k in large[:SHOWN])
+        words += f": {', '.join(listed)}" + (" and others" if len(large) > SHOWN else "")
+    return {pictures[0].title: [paragraphs(f"{words}."), *map(saved_figure, pictures)]}

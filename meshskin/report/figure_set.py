@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from ..recording.recording import Recording
 
 
-ACCURACY_TIME = "accuracy_time"
-"""Name of the figure that has a section of its own."""
+ACCURACY_TIME, RESIDUALS = "accuracy_time", "residuals"
+"""Names of the figures that have sections of their own."""
 
 
 def draw_figures(
@@ -244,5 +244,32 @@ def iterations(folder: Path, data: ReportData) -> SavedFigure | None:
     return replace(picture, also=theme.save_panels(figure, folder, panels))
 
 
-DRAWN = (force, response, estimates, errors, uncertainty, coverage, iterations, accuracy_time)
+def residuals(folder: Path, data: ReportData) -> SavedFigure | None:
+    """Map of the residuals, of calibrations without a truth."""
+    if data.truth is not None or not np.isfinite(data.residuals).any():
+        return None
+    words = (
+        "Root mean square residual of the readings of each taxel, relative to that of the median "
+        "taxel; taxels with a fault are ringed. Good: all near 1, without order. A region of large "
+        "ones reads otherwise than the rest: another skin, response or shape of the body."
+    )
+    if data.validation is not None:
+        words += (
+            " Right: from the points of the held-out contacts to where their readings put them, "
+            "enlarged. Good: short lines in random directions; lines of neighbours in one "
+            "direction are an error of the contact points or of the body."
+        )
+    return _save(
+        folder,
+        RESIDUALS,
+        maps.residuals(data),
+        "Residuals over the body",
+        words + _projection_note(data),
+        "Map of the residuals of the taxels, and of held-out contacts",
+    )
+
+
+DRAWN = (
+    force, response, estimates, errors, uncertainty, coverage, residuals, iterations, accuracy_time
+)  # fmt: skip
 """The figures, in the order of the page."""

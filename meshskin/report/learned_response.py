@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..estimation.result import ids_in_words
 from . import theme
 from .markup import SavedFigure, paragraphs, saved_figure
 from .plane import MM
@@ -26,7 +27,7 @@ CAPTION = (
     "compression of strong readings, beside the contact model that it corrects, drawn as high. "
     "Right: the reading over the level before compression. Bands: ± 2 standard deviations, of the "
     "scale, too, which the compression shares. A model outside the band does not hold for this "
-    "skin."
+    "skin. Taxels of another skin or amplifier have curves of their own."
 )
 NOT_KNOWN = (
     "Not in this response: delays, patches that are not round, and, from raw readings, "
@@ -38,23 +39,33 @@ SIGMAS = 2.0
 
 @theme.styled
 def figure(response: LearnedResponse) -> Figure:
-    """The learned profile beside the model's, and the reading over the level, with their bands."""
+    """The learned profile beside the model's, and the reading over the level, with their bands, of
+    each group of taxels."""
     unit, scale = ("kPa", 1e-3) if response.unit_name == "Pa" else (response.unit_name, 1.0)
     made = theme.new_figure(9.0, 3.4)
     profile, curve = (theme.add_axes(made, x, 0.55, 3.5, 2.5) for x in (0.75, 5.25))
-    distance, level = MM * response.distance, scale * response.level
+    single, each = not response.others, response.each
+    look: dict[str, Any]
 
-    def band(axes: Axes, x: Array, y: Array, sigma: Array) -> None:
+    def band(axes: Axes, x: Array, y: Array, sigma: Array, look: dict[str, Any]) -> None:
         low, high = scale * (y - SIGMAS * sigma), scale * (y + SIGMAS * sigma)
-        axes.fill_between(x, low, high, color=theme.ESTIMATE, alpha=0.2, lw=0, label="± 2 sigma")
-        axes.plot(x, scale * y, color=theme.ESTIMATE, lw=1.5, label="learned")
+        label = "± 2 sigma" if single else None
+        axes.fill_between(x, low, high, color=look["color"], alpha=0.2, lw=0, label=label)
+        axes.plot(x, scale * y, lw=1.5, **look)
 
-    band(profile, distance, response.profile, response.profile_sigma)
-    band(curve, level, response.reading, response.reading_sigma)
-    dashed: dict[str, Any] = {"color": theme.WARNING, "lw": 1.0, "ls": "--"}
-    height = scale * float(np.max(response.profile) / np.max(response.model))
-    profile.plot(distance, height * response.model, label="contact model", **dashed)
-    curve.plot(level, level, label="no compression", **dashed)
+    for one, color in zip(each, theme.PALETTE, strict=False):
+        label = "learned" if single else f"taxels {ids_in_words(one.taxels)}"
+        look = {"color": color, "label": label}
+        band(profile, MM * one.distance, one.profile, one.profile_sigma, look)
+        band(curve, scale * one.level, one.reading, one.reading_sigma, look)
+    for one, color in zip(each, theme.PALETTE, strict=False):
+        height = scale * float(np.max(one.profile) / np.max(one.model))
+        look = {"color": theme.WARNING if single else color, "lw": 1.0, "ls": "--"}
+        look["label"] = "contact model" if one is each[-1] else None
+        profile.plot(MM * one.distance, height * one.model, **look)
+    level = scale * np.concatenate([one.level for one in each])
+    linear = np.array([0.0, level.max()])
+    curve.plot(linear, linear, color=theme.WARNING, lw=1.0, ls="--", label="no compression")
     profile.set(
         xlabel="distance from the contact point (mm)",
         ylabel=f"level before compression ({unit})", title="Profile",
@@ -63,8 +74,8 @@ def figure(response: LearnedResponse) -> Figure:
         xlabel=f"level before compression ({unit})", ylabel=f"reading ({unit})",
         title="Reading of a level",
     )  # fmt: skip
-    profile.set_xlim(0.0, distance[-1])
-    curve.set_xlim(0.0, level[-1])
+    profile.set_xlim(0.0, MM * max(one.distance[-1] for one in each))
+    curve.set_xlim(0.0, level.max())
     curve.set_ylim(bottom=0.0)
     profile.legend(loc="upper right")
     curve.legend(loc="upper left")

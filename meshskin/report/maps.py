@@ -1,4 +1,4 @@
-"""Maps of the skin on its tangent plane: estimates, iterations, coverage, uncertainty."""
+"""Maps of the skin on its tangent plane: estimates, iterations, coverage, sigma, residuals."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 SATURATION = 3.0
 """Standard deviation, in the median one, from which all have one colour."""
+LARGE = 2.0
+"""Residuals, in the median taxel's, up to which a colour scale goes at least: by chance those of 20
+readings are within a third of it."""
 RASTERIZE_ABOVE = 500
 """Marks above which a figure's marks are rasterized: each takes 1 kB of SVG."""
 
@@ -283,4 +286,53 @@ def uncertainty(data: ReportData) -> Figure:
     if cut := int(np.sum(short < 1.0)):
         handles.append(_handle(f"{cut} drawn smaller", **DOT, mfc="none", mec=theme.WARNING, ms=7))
     _legend(axes, handles)
+    return figure
+
+
+def residual_scale(r: Array) -> float:
+    """End of the colour scale of residuals (n,), in the median taxel's."""
+    return min(float(np.max(r[np.isfinite(r)], initial=LARGE)), SATURATION)
+
+
+@theme.styled
+def residuals(data: ReportData) -> Figure:
+    """How large the residuals of each taxel are, and beside it, where contacts were held out, how
+    far from their places the readings put them, enlarged."""
+    validation, plane, r = data.validation, data.plane, data.residuals
+    xy, drawn = plane.project(data.display_positions), np.isfinite(r)
+    view = _discs(xy[drawn], data)
+    figure = theme.new_figure(6.6 if validation is None else 13.0, 6.3)
+    axes = _map_axes(figure, view, 0.65, 0.6, 5.0)
+    faulty = np.zeros(data.count, dtype=bool)
+    if data.calibration.faults is not None:
+        faulty = data.calibration.faults != ""
+    edges = np.where(faulty, theme.WARNING, "none")[drawn].tolist()
+    discs = _ellipses(
+        axes, xy[drawn], 2 * data.disc_radius * MM, cmap=theme.SEQUENTIAL, edgecolors=edges,
+        linewidths=1.5,
+    )  # fmt: skip
+    discs.set_array(r[drawn])
+    discs.set_clim(0.0, residual_scale(r))
+    largest = float(np.max(r[drawn], initial=0.0))
+    beyond = "" if largest <= SATURATION else f"; up to {significant(largest)}"
+    theme.color_bar(figure, discs, axes, f"rms residual over the median taxel's{beyond}")
+    axes.set_title("Residuals of the taxels")
+    if (faulty & drawn).any():
+        _legend(axes, [_handle("fault", **DOT, mfc="none", mec=theme.WARNING, ms=8)], above=0.06)
+    if validation is not None:
+        where, put = plane.project(validation.points), plane.project(validation.localized)
+        good = np.isfinite(put).all(axis=1)
+        where, off = where[good], (put - where)[good]
+        length = np.linalg.norm(off, axis=1)
+        factor, short = drawn_scale(length, 0.35 * pitch(data.display_positions) * MM)
+        axes = _map_axes(figure, np.concatenate([view, where]), 7.25, 0.6, 5.0)
+        _ellipses(
+            axes, xy[drawn], 2 * data.disc_radius * MM, facecolors="none", edgecolors=theme.FAINT
+        )
+        _segments(axes, where, where + (factor * short)[:, None] * off, color=theme.ESTIMATE, lw=1)
+        axes.plot(*where.T, ".", ms=2, color=theme.INK, rasterized=len(where) > RASTERIZE_ABOVE)
+        axes.set_title("Held-out contacts")
+        label = f"to where their readings put them × {grouped(factor)}"
+        handles = [_handle("contact points", ls="", marker=".", color=theme.INK)]
+        _legend(axes, [*handles, _handle(label, color=theme.ESTIMATE)], above=0.06)
     return figure

@@ -56,7 +56,7 @@ def _scripts() -> str:
     return f"<script>{plotly}</script>\n<script>{_resource('view.js')}</script>"
 
 
-OPTIONS = (*(item.name for item in fields(ReportData)), "budget", "validation", "progress")
+OPTIONS = (*(item.name for item in fields(ReportData)), "budget", "progress")
 """Names of the options of a report."""
 
 
@@ -76,6 +76,7 @@ def report(
 
     Returns the paths written, the page first. Raises OutputError if a file cannot be written.
     """
+    facts["validation"] = validation
     data = ReportData(**{name: fact for name, fact in facts.items() if fact is not None})
     parts = {"budget": budget, "cross_validation": validation}
     metrics = {key: part.metrics() for key, part in parts.items() if part}

@@ -16,7 +16,7 @@ from ..geometry.body import Body
 from ..geometry.primitives import capsule_mesh
 from ..geometry.surface.fans import vertex_normals
 from ..recording.recording import Recording
-from . import markup, theme
+from . import maps, markup, theme
 from .data import ReportData
 from .decimation import decimate
 from .plane import MM, drawn_scale, finite_rows, path_with_breaks, pitch, tangent_plane
@@ -176,6 +176,8 @@ def view_3d(data: ReportData, transparent: bool) -> dict[str, Any]:
     seen = np.any(np.asarray(data.calibration.observed)[:, 5])
     heading = "" if seen else " (heading: by convention)"
     traces += frames(poses, FRAME_LENGTH * between, f"estimated frames{heading}")
+    if data.truth is None and np.isfinite(data.residuals).any():
+        traces.append(_residuals(data))
     if (balls := ellipsoids(positions, cov, 0.3 * between)) is not None:
         traces.append(balls)
     made = layout(skin, data.shown_poses[:, :3, 2], extent)
@@ -208,6 +210,28 @@ def _estimated_taxels(ids: Array, poses: Array, cov: Array, true: Array | None) 
     truth = None if true is None else true[good, :3, 3]
     texts = _texts(ids[good], positions[good], truth, cov[good])
     return _markers("estimated taxels", positions[good], texts, size=3.2, color=theme.ESTIMATE)
+
+
+def _residuals(data: ReportData) -> dict[str, Any]:
+    """Marks at the estimates, hidden at first, whose colour is the size of the residuals."""
+    r = data.residuals
+    good = np.isfinite(r)
+    texts = [
+        f"taxel {k}<br>residuals {significant(float(x))} times the median taxel's"
+        for k, x in zip(np.asarray(data.calibration.ids)[good], r[good], strict=True)
+    ]
+    scale = {
+        "colorscale": "Cividis",
+        "cmin": 0.0,
+        "cmax": maps.residual_scale(r),
+        "showscale": True,
+    }
+    bar = {"title": {"text": "residual"}, "thickness": 12, "len": 0.6}
+    marks = _markers(
+        "residuals", data.display_positions[good], texts,
+        size=7, color=_packed(r[good]), colorbar=bar, **scale,
+    )  # fmt: skip
+    return {**marks, "visible": "legendonly"}
 
 
 def _texts(ids: Array, positions: Array, truth: Array | None, cov: Array) -> list[str]:

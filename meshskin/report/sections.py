@@ -10,12 +10,12 @@ import numpy as np
 
 from . import advice, evidence, learned_response, scene3d
 from .data import METHOD_DESCRIPTIONS, PAPER_REFERENCE, ReportData, method_name
-from .figure_set import ACCURACY_TIME
+from .figure_set import ACCURACY_TIME, RESIDUALS
 from .markup import Content, SavedFigure, bullets, paragraphs, saved_figure, table, tile
 from .plane import MM
 from .theme import compact, grouped, significant
 
-OWN_SECTIONS = (ACCURACY_TIME, learned_response.NAME)
+OWN_SECTIONS = (ACCURACY_TIME, RESIDUALS, learned_response.NAME)
 """Figures that have sections of their own."""
 MAX_TAXEL_ROWS = 1000
 """Most taxels that are listed one by one: the table then takes half a megabyte."""
@@ -89,6 +89,7 @@ def content(data: ReportData, pictures: Sequence[SavedFigure]) -> Content:
             "Numbers": _numbers(data),
             **evidence.kinematics(data),
             **evidence.validation(data),
+            **evidence.residuals(data, [p for p in pictures if p.png.stem == RESIDUALS]),
             **budget(data),
             "Accuracy and time": _accuracy_time(data, pictures),
             "Taxels": [_taxels(data)],

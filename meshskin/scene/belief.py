@@ -89,6 +89,11 @@ class Belief(Value, NamedFields):
     module_slots: Array | None = None
     """Positions (slots, 3) of a rigid module's taxels in the module's frame, m (z = outward
     normal); taxel ids are then slots * module + slot. None: the taxels are independent."""
+    response_groups: tuple[np.ndarray, ...] = ()
+    """Ids of the taxels of each further group that responds in its own way, such as a second skin
+    or amplifier: response_groups=(range(48, 96),). Taxels of no group are the first one. A learned
+    response has a profile, exponents and a compression for each. Undeclared, two groups are looked
+    for among the modules and the parts of the ids."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -103,6 +108,7 @@ class Belief(Value, NamedFields):
                 remedy=f'write unknown=("{self.unknown}",)',
             )
         object.__setattr__(self, "taxel_ids", _checked_ids(self.taxel_ids))
+        object.__setattr__(self, "response_groups", self._checked_groups())
         check_type(Mapping, self.priors, "priors of a belief")
         for name, sigma in self.priors.items():
             check_real(f"prior of {name}", sigma, above=0.0)
@@ -118,25 +124,46 @@ class Belief(Value, NamedFields):
                     limit="(m, 3, 3), orthonormal within 1e-6",
                 )
 
+    def _checked_groups(self) -> tuple[np.ndarray, ...]:
+        """Ids of the taxels of each group that has some, as integers. Raises ConfigError."""
+        groups = self.response_groups
+        if isinstance(groups, str) or not isinstance(groups, Collection):
+            raise ConfigError(
+                "belief.response_groups must be a list of lists of taxel ids",
+                value=repr_short(groups),
+                remedy="write response_groups=(range(48, 96),)",
+            )
+        found = tuple(_checked_ids(ids, "response group of a belief") for ids in groups)
+        _checked_ids(np.concatenate([np.empty(0), *found]), "response groups of a belief")
+        for number, ids in enumerate(found, 1):
+            if not np.isin(ids, self.taxel_ids).any():
+                raise ConfigError(
+                    f"response group {number} of a belief has no taxel of the skin",
+                    value=f"{len(ids)} ids",
+                    limit=f"taxel ids {self.taxel_ids.min()} to {self.taxel_ids.max()}"
+                    if len(self.taxel_ids)
+                    else "no taxel ids",
+                    remedy="list ids of taxel_ids",
+                )
+        return found
+
     def with_(self, **changes: Any) -> Belief:
         """This belief with other values of some fields. Raises ConfigError."""
         return replace_fields(self, changes)
 
 
-def _checked_ids(taxel_ids: object) -> np.ndarray:
+def _checked_ids(taxel_ids: object, what: str = "taxel ids of a belief") -> np.ndarray:
     """Taxel ids as integers (n,). Raises ConfigError."""
-    ids = check_array("taxel ids of a belief", taxel_ids)  # type: ignore[arg-type]
+    ids = check_array(what, taxel_ids)  # type: ignore[arg-type]
     if ids.ndim != 1:
-        raise ConfigError("taxel ids of a belief must be a list", value=f"shape {ids.shape}")
+        raise ConfigError(f"{what} must be a list", value=f"shape {ids.shape}")
     fractional = ~np.isfinite(ids) | (ids != np.round(ids))
     if fractional.any():
-        raise ConfigError(
-            "taxel ids of a belief must be whole numbers", value=f"{ids[np.argmax(fractional)]:g}"
-        )
+        raise ConfigError(f"{what} must be whole numbers", value=f"{ids[np.argmax(fractional)]:g}")
     unique, count = np.unique(ids, return_counts=True)
     if (count > 1).any():
         raise ConfigError(
-            "taxel ids of a belief must be unique",
+            f"{what} must be unique",
             value=f"{int(unique[np.argmax(count > 1)])} {count.max()} times",
             remedy="list every taxel once",
         )

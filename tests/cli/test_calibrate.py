@@ -110,6 +110,8 @@ def test_a_recording_with_a_scene(recording, tmp_path, capsys):
         (["--scene", "sphere_noisy", "--method", "guess"], "guess"),
         (["--scene", "sphere_noisy", "--unknown", "gains"], "gains"),
         (["--scene", "sphere_noisy", "--contact", "hertzian"], "hertzian"),
+        (["--scene", "sphere_noisy", "--response-groups", "48-x"], "write each group as 48-95"),
+        (["--scene", "sphere_noisy", "--response-groups", "0-9", "9"], "must be unique, got 9"),
         (["--scene", "sphere_noisy", "--noise-kpa", "-1"], "belief.noise_sigma is out of range"),
         (["--scene", "sphere_noisy", "--disc-radius-mm", "0"], "belief.disc_radius is out of"),
         (
@@ -155,6 +157,23 @@ def body_of(log, *options):
     rest = ["--indenter-radius-mm", "10", "--young-kpa", "150", "--out", "out"]
     asked = [str(log), "--body", *map(str, options), *rest]
     return belief_options.belief_of(parser.parse_args(asked), [1]).body
+
+
+def test_groups_of_taxels_that_respond_in_their_own_way():
+    parser = argparse.ArgumentParser()
+    calibrate.add(parser)
+    asked = [
+        "log",
+        "--out",
+        "out",
+        "--scene",
+        "sphere_noisy",
+        "--response-groups",
+        "3-5,8",
+        "60-79",
+    ]
+    groups = belief_options.belief_of(parser.parse_args(asked), [1]).response_groups
+    assert [ids.tolist() for ids in groups] == [[3, 4, 5, 8], list(range(60, 80))]
 
 
 def test_every_option_of_a_body_is_one_of_calibrate_and_check(log, tmp_path, capsys, scene):

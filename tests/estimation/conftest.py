@@ -16,7 +16,8 @@ from meshskin.contact.disc import disc_mean
 from meshskin.contact.material import Material
 from meshskin.contact.problem import effective_modulus
 from meshskin.estimation.joint.contacts import LinearizedContacts
-from meshskin.estimation.joint.likelihood import Likelihood, Readings
+from meshskin.estimation.joint.likelihood import Likelihood
+from meshskin.estimation.joint.readings import Readings
 from meshskin.geometry.primitives import Sphere
 from meshskin.recording.recording import CONTACTS, READINGS, Recording
 

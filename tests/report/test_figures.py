@@ -344,3 +344,33 @@ def test_estimates_that_coincide_are_drawn_in_millimetres() -> None:
     assert factor == 1.0
     assert (short[:3] == 1.0).all()
     assert short[3] * 0.5 == pytest.approx(2.5 * 5.5e-3)
+
+
+def test_residuals_are_drawn_in_units_of_the_median_taxel_s(case):
+    """One taxel has residuals three times as large as the others', another a fault; a contact was
+    put 0.3 mm along the skin's first axis from where it was, a second one nowhere."""
+    c = case.calibration()
+    chi2, faults = np.where(c.touched, 4.0, np.nan), np.full(len(c.ids), "", dtype=object)
+    chi2[5], faults[9] = 36.0, "its readings are outlying"
+    data = ReportData(replace(c, chi2=chi2, faults=faults), recording=case.recording())
+    place = c.positions[c.touched][:2]
+    put = place + 3e-4 * data.plane.axes[0]
+    put[1] = np.nan
+    validation = SimpleNamespace(points=place, localized=put)
+    data = replace(data, validation=validation)
+    expected = np.where(c.touched, 1.0, np.nan)
+    expected[5] = 3.0
+    np.testing.assert_allclose(data.residuals, expected)
+    taxels, bar, contacts = maps.residuals(data).axes
+    (discs,) = taxels.collections
+    np.testing.assert_allclose(discs.get_array(), expected[c.touched])
+    assert discs.get_clim() == (0.0, 3.0)
+    ringed = discs.get_edgecolors()[:, 3] > 0
+    assert np.asarray(c.ids)[c.touched][ringed].tolist() == [9]
+    assert "median taxel" in bar.get_ylabel()
+    line = contacts.collections[-1].get_segments()
+    factor = float(texts(contacts.figure).split("put them × ")[1].split(" ")[0].replace(",", ""))
+    np.testing.assert_allclose(np.diff(line[0], axis=0), [[0.3 * factor, 0.0]], atol=1e-9)
+    assert len(line) == 1
+    alone = maps.residuals(replace(data, validation=None))
+    assert len(alone.axes) == 2

@@ -47,6 +47,22 @@ def test_the_figure_states_its_unit_and_draws_what_was_learned(unit, name, scale
     assert any("2 sigma" in t.get_text() for t in figure.findobj(matplotlib.text.Text))
 
 
+def test_each_group_of_taxels_has_curves_of_its_own():
+    one = replace(response(5e-3), taxels=np.arange(12))
+    other = replace(one, taxels=np.r_[12:24, 40], profile=one.profile / 4, reading=one.reading / 2)
+    figure = learned_response.figure(replace(one, others=(other,)))
+    for axes, name in zip(figure.axes, ("profile", "reading"), strict=True):
+        lines = {line.get_label(): line for line in axes.lines}
+        for group, words in ((one, "taxels 0 to 11"), (other, "taxels 12 to 23, 40")):
+            np.testing.assert_allclose(lines[words].get_ydata(), getattr(group, name))
+        colors = {lines[words].get_color() for words in lines if words.startswith("taxels")}
+        assert len(colors) == 2
+    dashed = [line for line in figure.axes[0].lines if line.get_linestyle() == "--"]
+    assert [line.get_ydata().max() for line in dashed] == [100.0, 25.0]
+    words = " ".join(replace(one, others=(other,)).describe())
+    assert "2 groups of taxels have responses of their own: 0 to 11; 12 to 23, 40" in words
+
+
 def test_a_page_says_what_was_learned(case, tmp_path):
     c = replace(case.calibration(), response=response(5e-3), modulus=None, modulus_sigma=None)
     metrics = {"modulus_pa": None, "response": c.response.metrics()}

@@ -235,6 +235,25 @@ def test_without_truth_the_stated_uncertainty_is_given(
     assert not {"errors.svg", "fig5_estimates.svg"} & names
 
 
+def test_residuals_have_a_map_where_there_is_no_truth(
+    case: SimpleNamespace, tmp_path: Path, body: Body
+) -> None:
+    c = case.calibration()
+    chi2 = np.where(c.touched, 1.0, np.nan)
+    chi2[7] = 25.0
+    c = replace(c, chi2=chi2)
+    shown, files = write(case, tmp_path, body, calibration=c, truth=None, comparisons={})
+    assert "residuals.svg" in {p.name for p in files}
+    assert "Residuals of 1 of 78 taxels are more than 2 times as large" in shown.text
+    assert "median taxel's: 7 (5.00)." in shown.text
+    (marks,) = (t for t in shown.data["data"] if t["name"] == "residuals")
+    assert marks["visible"] == "legendonly"
+    assert len(marks["text"]) == 78
+    shown, files = write(case, tmp_path / "known", body, calibration=c)
+    assert "residuals.svg" not in {p.name for p in files}
+    assert "Residuals over the body" not in shown.text
+
+
 def test_held_out_contacts_have_a_section(case: SimpleNamespace, tmp_path: Path) -> None:
     points = np.zeros((3, 3))
     off, nan = np.array([[3e-4, 4e-4, 0.0]]), np.full((1, 3), np.nan)

@@ -99,6 +99,8 @@ MIN_KEPT = 0.05
 """Least part of a reading at the typical level that compression leaves: no sensor has less."""
 LEARNED_ONLY = (*LEARNED[1:], *DEPARTURES)
 """Parameters that a learned response estimates of itself, and a contact model does not have."""
+IN_GROUP = " of group {}"
+"""What follows the name of a parameter of the second and further groups of taxels."""
 LOGARITHMS = ("modulus", "force_scale", "scale", "gain", "mesh_scale")
 """Parameters, also of a contact motion, that are natural logarithms of a factor."""
 UNITS = (
@@ -128,10 +130,12 @@ class GlobalParameters:
     """Their prior standard deviations: of ln gain, and of the offset and its drift in Pa."""
     motion: ContactMotion | None = None
     """The belief's motion of the contacts, if MOTION is among the names."""
+    groups: int = 1
+    """Groups of taxels, each of which has parameters of LEARNED of its own, one after the other."""
 
     @property
     def columns(self) -> dict[str, slice]:
-        """The entries of s of each parameter."""
+        """The entries of s of each parameter, those of all groups together."""
         sizes = [self._size(name) for name in self.names]
         ends = np.cumsum(sizes)
         return {
@@ -139,8 +143,19 @@ class GlobalParameters:
             for name, size, end in zip(self.names, sizes, ends, strict=True)
         }
 
+    def columns_of(self, group: int) -> dict[str, slice]:
+        """The entries of s of each parameter of the taxels of a group."""
+        found = self.columns
+        if self.groups > 1:
+            for name in found.keys() & set(LEARNED):
+                start = found[name].start + group * SIZES[name]
+                found[name] = slice(start, start + SIZES[name])
+        return found
+
     def _size(self, name: str) -> int:
-        return self.motion.size if name == MOTION and self.motion is not None else SIZES[name]
+        if name == MOTION and self.motion is not None:
+            return self.motion.size
+        return SIZES[name] * (self.groups if name in LEARNED else 1)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -157,9 +172,11 @@ class GlobalParameters:
             ),
         }
         return tuple(
-            name if name in SIZES and SIZES[name] == 1 else f"{name} {entry}"
+            (name if SIZES.get(name) == 1 else f"{name} {entry}")
+            + (IN_GROUP.format(group + 1) if group else "")
             for name in self.names
-            for entry in entries.get(name, axes)[: self._size(name)]
+            for group in range(self.groups if name in LEARNED else 1)
+            for entry in entries.get(name, axes)[: SIZES.get(name, self._size(name))]
         )
 
     def start(self) -> Array:
@@ -183,6 +200,16 @@ class GlobalParameters:
         for label in self.labels[at]:
             del found[label]
         return found | self.motion.unknowns(s[at], covariance[at, at])
+
+    def grouped(self, groups: int) -> tuple[GlobalParameters, np.ndarray]:
+        """These parameters, of one group, for several; and the row of s (ks,) whose value and prior
+        each of theirs has."""
+        row, columns = np.arange(len(self.sigma)), self.columns
+        repeated = [
+            np.tile(row[columns[name]], groups if name in LEARNED else 1) for name in self.names
+        ]
+        rows = np.concatenate([row[:0], *repeated])
+        return replace(self, sigma=self.sigma[rows], groups=groups), rows
 
     def without(self, names: Collection[str]) -> tuple[GlobalParameters, np.ndarray]:
         """These parameters but for the global ones `names`, and the rows of s that are left."""
@@ -240,9 +267,9 @@ class GlobalParameters:
         values = tuple(sigma[name] for name in names)
         return replace(self, nuisance_names=names, nuisance_sigma=values)
 
-    def value(self, name: str, s: Array) -> float:
-        """The entry of a scalar parameter in s (ks,); 0 if it is not declared."""
-        return float(s[self.columns[name]][0]) if name in self.names else 0.0
+    def value(self, name: str, s: Array, group: int = 0) -> float:
+        """The entry of a scalar parameter, of a group, in s (ks,); 0 if it is not declared."""
+        return float(s[self.columns_of(group)[name]][0]) if name in self.names else 0.0
 
 
 def declared_parameters(

@@ -115,6 +115,14 @@ class Measurements:
         """Taxel ids (n,), in the belief's order."""
         return np.asarray(self.belief.taxel_ids)
 
+    @cached_property
+    def groups(self) -> np.ndarray:
+        """Group (n,) of taxels with a response of its own that each one belongs to."""
+        found = np.zeros(len(self.ids), dtype=np.int8)
+        for number, ids in enumerate(self.belief.response_groups, 1):
+            found[np.isin(self.ids, ids)] = number
+        return found
+
     @property
     def body(self) -> Body:
         """The believed body."""

@@ -11,8 +11,7 @@ and curvatures change discontinuously from face to face.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ..data.global_parameters import MIN_KEPT, MOTION
 from ..data.measurements import Measurements
+from .contact_state import Contacts
 from .friction import Shears
 from .patch_derivatives import (
     LoadDerivatives,
@@ -40,53 +40,6 @@ squared rotation of the normal, which is small."""
 MIN_COSINE = 0.8
 """Cosine of the angle between recorded normal and that of the surface, below which a contact keeps
 its height along the latter: at a crease of a mesh they differ, and the iterations would diverge."""
-
-
-@dataclass(frozen=True)
-class Contacts:
-    """m contacts at values of the global parameters s (ks,), and their derivatives in s."""
-
-    points: Array
-    """(m, 3), body frame, m."""
-    normals: Array
-    """(m, 3)."""
-    directions: Array
-    """Unit tangents (m, 3) along the patches' first semi-axes."""
-    patches: Patches
-    """Semi-axes, m, and peaks p_0, Pa, of m contacts."""
-    shape: tuple[Array, ...]
-    """Derivatives (m, ks) of ln a, ln b and the exponent, as far as the contact model has them."""
-    log_peak: Array
-    """d ln p_0 / ds (m, ks)."""
-    moves: Array | None
-    """Derivatives (m, 6, ks) of the contacts' frames: of the points, m, and rotations, rad; None
-    where they are constant."""
-    s: Array = field(default_factory=lambda: np.empty(0))
-    """The values (ks,)."""
-    by_load: tuple[Array, ...] = ()
-    """Derivatives (m,) in ln F of the entries of `shape`, and of ln p_0, where contacts have errors
-    of their own; empty otherwise."""
-    profile: Array = field(default_factory=lambda: np.empty(0))
-    """Whitened coefficients of the learned profile; empty where it is not learned."""
-    compression: float = 0.0
-    """Compression of strong readings, relative to the nominal peak."""
-    load_errors: Array = field(default_factory=lambda: np.empty(0))
-    """Errors (m,) of ln F, where contacts have errors of their own; else empty."""
-
-    @cached_property
-    def across(self) -> Array:
-        """Unit tangents (m, 3) along the patches' second semi-axes."""
-        return np.cross(self.normals, self.directions)
-
-    @property
-    def radii(self) -> Array:
-        """Radii (m,), m, of the circles of the patches' areas."""
-        return np.asarray(np.sqrt(self.patches.first * self.patches.second))
-
-    @property
-    def peaks(self) -> Array:
-        """p_0 (m,), Pa."""
-        return np.asarray(self.patches.peak)
 
 
 class LinearizedContacts:
@@ -120,26 +73,39 @@ class LinearizedContacts:
         """The contacts at s (ks,)."""
         s = self._clipped(s)
         if self._last is None or not np.array_equal(self._last[0], s):
-            found = self._fixed(s)
-            if self.gradients is not None:
-                found = self._moved(found, s)
-            if self.recorded.contact_errors is not None:
-                found = replace(self._displaced(found, s, self.recorded.contact_errors), by_load=())
-            self._last = s.copy(), found
+            first, *others = (self._of_group(s, g) for g in range(self.parameters.groups))
+            self._last = s.copy(), replace(first, others=tuple(others))
         return self._last[1]
+
+    def _of_group(self, s: Array, group: int) -> Contacts:
+        """The contacts with the response of a group."""
+        found = self._fixed(s, group)
+        if self.gradients is not None:
+            found = self._moved(found, s)
+        if self.recorded.contact_errors is not None:
+            found = replace(self._displaced(found, s, self.recorded.contact_errors), by_load=())
+        return found
+
+    def log_growth(self, s: Array) -> float:
+        """Logarithm of the patches' radii at s (ks,) over the nominal ones, in the median, of the
+        group where it is largest."""
+        each = self.at(s).each
+        return max(float(np.median(np.log(x.radii / self.recorded.radii))) for x in each)
 
     def with_errors(self, s: Array, errors: Array) -> Contacts:
         """The contacts at s (ks,) with errors (m, 3) of their own: displacements along the patch's
         semi-axes, m, and errors of ln F; predictions then have derivatives in these, too."""
-        return self._displaced(self.at(s), s, errors)
+        first, *others = (self._displaced(x, s, errors) for x in self.at(s).each)
+        return replace(first, others=tuple(others))
 
     def _displaced(self, contacts: Contacts, s: Array, errors: Array) -> Contacts:
         moved = contacts.points + errors[:, :1] * contacts.directions
         moved += errors[:, 1:2] * contacts.across
         load = errors[:, 2]
         # with compression, too, the errors are those of a reading at the typical level
-        amplified = 1 + self.recorded.response_levels[1] * contacts.compression
-        slopes = tuple(amplified * slope for slope in self._load_slopes(s))
+        compression = self.parameters.value("compression", contacts.s)
+        amplified = 1 + self.recorded.response_levels[1] * compression
+        slopes = tuple(amplified * slope for slope in self._load_slopes(s, contacts.group))
         first, second = slopes[0], slopes[1 if len(slopes) > 2 else 0]
         patches = contacts.patches._replace(
             first=contacts.patches.first * np.exp(first * load),
@@ -148,10 +114,10 @@ class LinearizedContacts:
         )
         return replace(contacts, points=moved, patches=patches, by_load=slopes, load_errors=load)
 
-    def _load_slopes(self, s: Array) -> tuple[Array, ...]:
+    def _load_slopes(self, s: Array, group: int) -> tuple[Array, ...]:
         """Derivatives (m,) in ln F of the entries of `shape`, and of ln p_0, of the model: learned
         exponents are those of the measured forces, which errors of these make smaller."""
-        derivatives, m = self._patches(self.data, self._clipped(s))[1], len(self.data.force)
+        derivatives, m = self._patches(self.data, self._clipped(s), group)[1], len(self.data.force)
         slopes = (np.ravel(x) for x in (*derivatives.shape, derivatives.peak))
         return tuple(np.broadcast_to(slope, m) for slope in slopes)
 
@@ -165,10 +131,11 @@ class LinearizedContacts:
             effective_modulus=data.modulus * np.exp(e),
         )
 
-    def _fixed(self, s: Array) -> Contacts:
-        """The contacts where they were linearized, under the force and E* of s (ks,)."""
-        data, at, force = self.data, self.parameters.columns, self._force(s)
-        patches, derivatives = self._patches(data, s)
+    def _fixed(self, s: Array, group: int) -> Contacts:
+        """The contacts where they were linearized, under the force and E* of s (ks,), with the
+        response of a group."""
+        data, at, force = self.data, self.parameters.columns_of(group), self._force(s)
+        patches, derivatives = self._patches(data, s, group)
         # d ln(F/E*) / ds, by columns: memory of those of the profile, which are zero, is not used
         load = np.zeros((len(force), len(s)), order="F")
         if "force_scale" in at:
@@ -196,30 +163,31 @@ class LinearizedContacts:
             log_peak[:, at["gain_drift"]] = data.drifts
             drifted = np.exp(data.drifts @ s[at["gain_drift"]])
             patches = patches._replace(peak=patches.peak * drifted)
-        compression = self.parameters.value("compression", s)
+        compression = self.parameters.value("compression", s, group)
         if "compression" in at:  # readings at the typical level stay
             level = data.response_levels[0]
             kept = max(1 - level * compression, MIN_KEPT)
             log_peak[:, at["compression"]] = level / kept
             patches = patches._replace(peak=patches.peak / kept)
         if "exponents" in at:
-            patches = self._rescaled(patches, shape, log_peak, s[at["exponents"]])
+            patches = self._rescaled(patches, shape, log_peak, s, at["exponents"])
         if "aspect" in at:
             patches = stretched(patches, shape, s[at["aspect"]][0], at["aspect"].start)
         return Contacts(
             data.points, data.normals, data.directions, patches, shape, log_peak, None, s,
             profile=s[at["profile"]] if "profile" in at else np.empty(0), compression=compression,
+            group=group,
         )  # fmt: skip
 
     def _rescaled(
-        self, patches: Patches, shape: tuple[Array, ...], log_peak: Array, exponents: Array
+        self, patches: Patches, shape: tuple[Array, ...], log_peak: Array, s: Array, columns: slice
     ) -> Patches:
-        """The patches with other exponents in the load; writes the derivatives by these.
+        """The patches with the exponents of s (ks,) in the load; writes the derivatives by these.
 
         Their size grows with force times relative radius of curvature, the peak such that the
         force is balanced, but for an exponent of its own in the force.
         """
-        data, columns = self.data, self.parameters.columns["exponents"]
+        data, exponents = self.data, s[columns]
         force = np.log(data.force / (data.belief.force_reference or 1.0))
         size = force - np.log(data.relative_curvature / data.typical_curvature)
         for slope in shape[:2]:
@@ -330,9 +298,11 @@ class LinearizedContacts:
             slope[:, :, at[MOTION]] = motion.slopes @ motion.root
         return centre, up, slope
 
-    def _patches(self, data: Measurements, s: Array) -> tuple[Patches, LoadDerivatives]:
-        """The patches of `data` under the force and E* of s (ks,)."""
-        log_modulus = self.parameters.value("modulus", self._clipped(s))
+    def _patches(
+        self, data: Measurements, s: Array, group: int = 0
+    ) -> tuple[Patches, LoadDerivatives]:
+        """The patches of `data` under the force and E*, of a group's taxels, of s (ks,)."""
+        log_modulus = self.parameters.value("modulus", self._clipped(s), group)
         return loaded_patches(data, np.log(self._force(s) / data.force), log_modulus)
 
     def _clipped(self, s: Array) -> Array:

@@ -16,8 +16,8 @@ import numpy as np
 from ...core.arrays import Array
 from ..posegraph.cholesky import Cholesky
 from ..posegraph.symmetric_blocks import SingularMatrixError, SymmetricBlocks
-from .likelihood import Readings
 from .reading_sums import Parts, ReadingSums
+from .readings import Readings
 
 COLUMNS = 12
 """Columns that are eliminated together: two parts of the usual 22. All at once would take 1 % less

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ..data.measurements import Measurements
-from .likelihood import Readings
+from .readings import Readings
 
 HELD = 5.0
 """Longest frame, in median ones, in which a contact is held: in a longer one the robot moved

@@ -18,6 +18,7 @@ from .leaks import leaking_pairs
 from .parametrization import Unknowns
 from .pressure import OBSERVED
 from .random_effects import RandomEffects
+from .response_groups import response_groups
 
 MAX_SIGMAS = 4.0
 """Prior standard deviations from which the estimate of a departure is not plausible: 6e-5 by
@@ -41,6 +42,8 @@ LEAST_GAIN = 0.5
 MAX_LOSS = 10.0
 """Largest fall of the log-likelihood by a departure whose optimum was found: the prior of its
 parameters costs less, and none of them above zero would cost nothing."""
+GROUPS = "response groups"
+"""Name, here, of a response of its own of some of the taxels."""
 WIDE_FORCES = 0.2
 """Deviation of ln F to start again from: that of 2 to 4 N recorded as constant, which compression
 and scale would go far to explain."""
@@ -52,8 +55,9 @@ def with_departures(
     """The estimate at its optimum, with what the readings show beyond the response, and the scores
     of other departures, but for those that make the readings hardly more likely.
 
-    excluded: departures that are not estimated. Forces that are recorded as equal may differ by
-    more than a start with small errors of theirs finds.
+    excluded: departures that are not estimated. Taxels whose responses differ become two groups
+    where the belief declares none. Forces that are recorded as equal may differ by more than a
+    start with small errors of theirs finds.
     """
     begin, unlikely, failed = (effects.unknowns, effects.deviations), set[str](), set(excluded)
     if not effects.converge() or _may_hide_forces(effects):
@@ -63,7 +67,7 @@ def with_departures(
         left = {name: score for name, (score, _) in found.items() if name not in unlikely}
         shown = [name for name in left if left[name] > MIN_SCORE and name not in failed]
         if not shown:
-            return effects, left
+            return effects, {name: left[name] for name in left if name != GROUPS}
         name, start = shown[0], found[shown[0]][1]
         extended, first, converged = _with_departure(effects, begin, name, start)
         gain = _objective(effects) - _objective(extended) if converged is not None else -np.inf
@@ -77,7 +81,7 @@ def with_departures(
         else:
             unlikely.add(name)
         if not converged:  # a response of another kind; further departures would not correct it
-            return effects, {other: left[other] for other in left if other != name}
+            return effects, {other: left[other] for other in left if other not in (name, GROUPS)}
 
 
 def _with_departure(
@@ -154,10 +158,14 @@ def plausible(extended: RandomEffects, name: str) -> bool:
 
 
 def _scores(effects: RandomEffects) -> dict[str, tuple[float, Array]]:
-    """`FittedReadings.scores` of the departures that are not estimated."""
+    """`FittedReadings.scores` of the departures that are not estimated, and that of GROUPS."""
     estimated = {*effects.data.parameters.names, *effects.data.parameters.nuisance_names}
-    found = effects.fitted().scores()
-    return {name: found[name] for name in found if name not in estimated}
+    fitted = effects.fitted()
+    found = {name: value for name, value in fitted.scores().items() if name not in estimated}
+    if effects.data.parameters.groups == 1:
+        groups = response_groups(fitted)
+        found = {GROUPS: (groups.score, groups.second), **found}
+    return dict(sorted(found.items(), key=lambda item: (item[0] == "drift", -item[1][0])))
 
 
 def _objective(effects: RandomEffects) -> float:
@@ -180,9 +188,14 @@ def _extended(
     effects: RandomEffects, u: Unknowns, deviations: Deviations, name: str, start: Array
 ) -> RandomEffects:
     """The estimate from the unknowns u and deviations with the departure `name`, too, whose global
-    parameters are `start`; none where every taxel has its own."""
-    p, sigma = effects.data.parameters, PRIORS[name]
-    if len(start):
+    parameters are `start`; none where every taxel has its own. Of GROUPS it is the ids of the
+    second one, which starts with the response of the first."""
+    p, belief, sigma = effects.data.parameters, effects.data.belief, PRIORS.get(name, 0.0)
+    if name == GROUPS:
+        belief = replace(belief, response_groups=(start,))
+        p, rows = p.grouped(2)
+        u = replace(u, s=u.s[rows])
+    elif len(start):
         own = np.full(len(start), sigma)
         if name == "creep" and abs(start[0]) >= FILTER_SHARE:
             own[2] = FILTER_LIFT
@@ -193,5 +206,5 @@ def _extended(
         nuisance = (*p.nuisance_sigma, sigma * peak)
         p = replace(p, nuisance_names=(*p.nuisance_names, name), nuisance_sigma=nuisance)
         u = replace(u, nuisance=np.column_stack([u.nuisance, np.zeros(len(u.nuisance))]))
-    data, (readings, pattern) = replace(effects.data, parameters=p), effects.selected
+    data, (readings, pattern) = replace(effects.data, parameters=p, belief=belief), effects.selected
     return RandomEffects(data, readings, u, deviations, pattern, effects.stage)

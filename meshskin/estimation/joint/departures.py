@@ -24,9 +24,9 @@ from .coupled_system import CoupledSystem, inner
 from .electronics import WIDTH, Electronics
 from .friction import shears
 from .joint_estimator import JointEstimator
-from .likelihood import Readings
 from .parametrization import SurfaceParametrization
 from .pressure import OBSERVED, costs
+from .readings import Readings
 
 CONTACT_ERRORS = "errors of the contacts"
 """Name of the departure that `contact_score` tests."""
@@ -284,8 +284,9 @@ def fitted_readings(estimator: JointEstimator, weight: Array) -> FittedReadings:
     points = problem.points(state)
     nuisance = problem.nuisance(state.z, np.arange(len(points)))
     mu, jacobian = estimator.likelihood.predict(
-        readings.contact, points[taxel], nuisance[taxel], problem.contacts.at(state.s)
-    )
+        readings.contact, points[taxel], nuisance[taxel], problem.contacts.at(state.s),
+        estimator.likelihood.groups(taxel),
+    )  # fmt: skip
     _, rate, curvature = costs(mu, readings.level / data.sigma, readings.kind)
     names = data.parameters.nuisance_names
     along = np.einsum("kia,ik->ak", problem.parametrization.charts.tangents[taxel], jacobian[:3])

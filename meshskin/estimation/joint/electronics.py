@@ -25,8 +25,8 @@ from scipy import sparse
 from ...core.arrays import Array
 from ..data.measurements import Measurements
 from .creep import Creep, lacking
-from .likelihood import Readings
 from .reading_sums import CONTACT_SIZE, pairs_of_contacts
+from .readings import Readings
 
 WIDTH = 0.1
 """Half-width of the play operator, relative to the nominal peak, at a logarithm of 0."""
@@ -59,7 +59,7 @@ class Electronics:
         jacobian: Array,
         s: Array,
         scale: Array,
-        gain: tuple[int, float],
+        gain: tuple[int, Array],
         first: int,
     ) -> Array:
         """Readings (k,) of the pressures mu (k,), both in units of the noise and with the taxels'

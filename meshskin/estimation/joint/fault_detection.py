@@ -17,8 +17,8 @@ import numpy as np
 
 from ...core.arrays import MAD, Array, means_by_group, robust_sigma, sums_by_group
 from ..data.measurements import Measurements
-from .likelihood import Readings
 from .pressure import CENSORED, OBSERVED, SATURATED
+from .readings import Readings
 
 GNC_STAGES = (64.0, 16.0, 4.0, 1.0)
 """m of the stages: at the first, residuals up to 8 c keep a quarter of their weight; a factor of 4

@@ -17,9 +17,10 @@ from ..data.measurements import Measurements
 from ..data.pairs import REACH_MARGIN
 from . import fault_detection
 from .contacts import LinearizedContacts
-from .likelihood import Likelihood, select
+from .likelihood import Likelihood
 from .parametrization import Parametrization, SurfaceParametrization
 from .pressure import OBSERVED
+from .readings import select
 from .reduced_nlp import NEWTON_TOLERANCE, minimize
 from .variable_projection import MAX_STEPS, ReducedProblem, SchurComplement, State
 
@@ -112,7 +113,7 @@ class JointEstimator:
         The readings are selected again if asked for, or if taxels or contacts have moved too far.
         """
         contacts = LinearizedContacts(self.data, s)
-        log_radius = float(np.median(np.log(contacts.at(s).radii / self.data.radii)))
+        log_radius = contacts.log_growth(s)
         if select_anew or not self._in_reach(parametrization, contacts, log_radius):
             clock = time.perf_counter()
             points = parametrization.points()

@@ -16,7 +16,8 @@ from ..data.measurements import Measurements
 from .contacts import LinearizedContacts
 from .creep import TIME, frames, lacking
 from .electronics import PAUSE, WIDTH, Electronics
-from .likelihood import Likelihood, select
+from .likelihood import Likelihood
+from .readings import select
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class KnownPast:
         electronics, own = Electronics(data, readings, points[live]), live[readings.taxel]
         Likelihood(data, readings).predict(
             readings.contact, points[own], nuisance[own], LinearizedContacts(data, s).at(s),
-            electronics,
+            data.groups[own], electronics,
         )  # fmt: skip
         key = own * len(data.points) + readings.contact
         order = np.argsort(key)
@@ -91,7 +92,7 @@ class History:
         jacobian: Array,
         s: Array,
         scale: Array,
-        gain: tuple[int, float],
+        gain: tuple[int, Array],
         first: int,
     ) -> Array:
         """As Electronics.apply; the derivatives by its global parameters are left out."""

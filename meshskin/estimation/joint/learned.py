@@ -34,11 +34,12 @@ from .joint_estimator import JointEstimator
 from .jump import largest_jump
 from .learned_modules import moved_to_modules
 from .learned_result import learned_result
-from .likelihood import Likelihood, Readings, select
+from .likelihood import Likelihood
 from .outlier_rejection import displaced_contacts, reject_outliers
 from .parametrization import SurfaceParametrization, Unknowns
 from .pressure import CENSORED, OBSERVED
 from .random_effects import RandomEffects
+from .readings import Readings, select
 from .response_groups import response_groups
 from .rival_optima import resolve_rivals
 
@@ -137,9 +138,12 @@ def _attempt(
         found = moved_to_modules(data, found, effects.system(), live)
     fitted = effects.fitted()
     jump = largest_jump(fitted)
-    slots = None if data.belief.module_slots is None else len(data.belief.module_slots)
-    groups = response_groups(fitted, data.ids[live], slots)
-    departures = {**groups.departure, **departures, **found.departures, **jump.departure}
+    departures = {
+        **response_groups(fitted).departure,
+        **departures,
+        **found.departures,
+        **jump.departure,
+    }
     return replace(found, departures=departures, jump=jump.shown)
 
 
@@ -156,6 +160,7 @@ def with_learned_response(data: Measurements, points: Array) -> Measurements:
         (*names, "gain", "offset"), priors, data.belief.force_reference or 1.0, peak,
         data.parameters.motion,
     )  # fmt: skip
+    parameters, _ = parameters.grouped(1 + len(data.belief.response_groups))
     offset = points[data.taxel] - data.points[data.contact]
     height = np.einsum("ki,ki->k", offset, data.normals[data.contact])
     across = np.sqrt(np.maximum(np.einsum("ki,ki->k", offset, offset) - height**2, 0.0))
@@ -205,7 +210,7 @@ def _response_levels(data: Measurements, readings: Readings, u: Unknowns) -> tup
         few = np.flatnonzero(owner % max(owner.max(initial=0) // LEVEL_SAMPLE, 1) == 0)
         contact, taxel = readings.contact[few], readings.taxel[few]
         mu, jacobian = Likelihood(data, readings).predict(
-            contact, points[taxel], u.nuisance[taxel], contacts
+            contact, points[taxel], u.nuisance[taxel], contacts, data.groups[readings.live[taxel]]
         )
         weight, level = jacobian[row] ** 2, mu * data.sigma / data.nominal_peak
         total = np.bincount(owner[few], weight)

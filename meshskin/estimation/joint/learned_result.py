@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -254,31 +255,13 @@ def _not_separable(effects: RandomEffects, covariance: Array) -> tuple[str, ...]
 def learned_response(
     effects: RandomEffects, covariance: Array, alike: AlikeErrors
 ) -> LearnedResponse:
-    """The learned profile beside the model's, and the learned response; covariance (ks, ks): of the
-    global parameters; alike: errors that contacts share."""
+    """The learned responses of all groups of taxels, the first one's with the others in it;
+    covariance (ks, ks): of the global parameters; alike: errors that contacts share."""
     data, s = effects.data, effects.unknowns.s
-    columns, middle = data.parameters.columns, int(np.argsort(data.force)[len(data.force) // 2])
-    contacts = effects.linearized.at(s)
-    rows = np.full(SAMPLES, middle)
-    radius = float(contacts.patches.first[middle])
-    u = np.linspace(0.0, data.profile_extent, SAMPLES)
-    offset = (u * radius)[:, None] * contacts.directions[rows]
-    model = disc_means(data.model.name, offset, rows, contacts, data.disc)[0]
-    basis, correction, _ = ProfileCorrection(data.profile_extent)(u, s[columns["profile"]])
-    peak = float(contacts.peaks[middle]) * data.unit
-    at = columns["profile"]
-    band = np.sqrt(np.einsum("ki,ij,kj->k", basis, covariance[at, at], basis))
-    level = np.linspace(0.0, peak * float(np.max(model + correction)), SAMPLES)  # that occur
-    c = columns["compression"].start
     nominal = data.nominal_peak * data.unit
-    return LearnedResponse(
-        distance=u * radius,
-        profile=peak * (model + correction),
-        profile_sigma=peak * band,
-        model=peak * model,
-        level=level,
-        reading=level / (1 + s[c] * level / nominal),
-        reading_sigma=level**2 / nominal * float(np.sqrt(covariance[c, c])),
+    first, *others = (_curves(effects, covariance, g) for g in range(data.parameters.groups))
+    found = LearnedResponse(
+        **first,
         contact_scatter=effects.deviations.position,
         contact_correlation=neighbour_correlation(effects),
         force_scatter=effects.deviations.force,
@@ -286,7 +269,6 @@ def learned_response(
         alike_parts=alike.parts,
         noise=effects.deviations.noise * data.sigma * data.unit,
         noise_relative=effects.deviations.relative,
-        coefficients=s[at],
         extent=data.profile_extent,
         levels=data.response_levels,
         unit=data.unit,
@@ -305,6 +287,38 @@ def learned_response(
             data.modulus,
         ),
     )
+    return replace(found, others=tuple(replace(found, **curves) for curves in others))
+
+
+def _curves(effects: RandomEffects, covariance: Array, group: int) -> dict[str, Any]:
+    """The learned profile of a group beside the model's, and its response to levels, by their names
+    in LearnedResponse; covariance (ks, ks): of the global parameters."""
+    data, s = effects.data, effects.unknowns.s
+    columns = data.parameters.columns_of(group)
+    middle = int(np.argsort(data.force)[len(data.force) // 2])
+    contacts = effects.linearized.at(s).each[group]
+    rows = np.full(SAMPLES, middle)
+    radius = float(contacts.patches.first[middle])
+    u = np.linspace(0.0, data.profile_extent, SAMPLES)
+    offset = (u * radius)[:, None] * contacts.directions[rows]
+    model = disc_means(data.model.name, offset, rows, contacts, data.disc)[0]
+    basis, correction, _ = ProfileCorrection(data.profile_extent)(u, s[columns["profile"]])
+    peak = float(contacts.peaks[middle]) * data.unit
+    at, c = columns["profile"], columns["compression"].start
+    band = np.sqrt(np.einsum("ki,ij,kj->k", basis, covariance[at, at], basis))
+    level = np.linspace(0.0, peak * float(np.max(model + correction)), SAMPLES)  # that occur
+    nominal, own = data.nominal_peak * data.unit, data.parameters.groups > 1
+    return {
+        "distance": u * radius,
+        "profile": peak * (model + correction),
+        "profile_sigma": peak * band,
+        "model": peak * model,
+        "level": level,
+        "reading": level / (1 + s[c] * level / nominal),
+        "reading_sigma": level**2 / nominal * float(np.sqrt(covariance[c, c])),
+        "coefficients": s[at],
+        "taxels": np.sort(data.ids[data.groups == group])[: own * len(data.ids)],
+    }
 
 
 def _hysteresis(effects: RandomEffects) -> tuple[float, float]:

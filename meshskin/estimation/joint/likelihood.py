@@ -8,116 +8,26 @@ module's pose is the parametrization's. Readings are sorted by taxel, and evalua
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...contact.learned import ProfileCorrection
-from ...contact.reading import same_sheet
-from ...core.arrays import Array, ranges
+from ...core.arrays import Array
 from ..data.measurements import Measurements
-from ..data.pairs import REACH_MARGIN, silent_pairs
-from .contacts import Contacts
-from .pressure import CENSORED, OBSERVED, SATURATED, corrected_means, costs, disc_means
+from .contact_state import Contacts
+from .pressure import OBSERVED, corrected_means, costs, disc_means
+from .readings import Readings
 
 if TYPE_CHECKING:
     from .electronics import Electronics
     from .known_past import History
 
-MISFIT_SIGMAS = 5.0
-"""Pressure, relative to the noise, above which a reading out of reach is kept: noise does not
-explain it. With an unknown offset, above what the taxel reads in most contacts."""
 MIN_DENOMINATOR = 0.05
 """Least denominator of a compressed reading: an expansion by 20 is none of a sensor."""
 BLOCK = 8192
 """Readings of a block: their derivatives, some 100 B each, stay in the cache."""
-
-
-@dataclass(frozen=True)
-class Readings:
-    """k readings of n taxels, sorted by taxel."""
-
-    contact: np.ndarray
-    """Row (k,) of the contact."""
-    taxel: np.ndarray
-    """Row (k,) of the taxel, rising."""
-    level: Array
-    """Pressure, threshold or end of the range (k,), Pa."""
-    kind: np.ndarray
-    """OBSERVED, CENSORED or SATURATED (k,)."""
-    source: np.ndarray
-    """Row (k,) of the measurement; -1 for a silent reading."""
-    weight: Array
-    """Weight (k,); 0 removes a reading."""
-    precision: Array
-    """Precision (k,), relative to that of the noise (`Measurements.precision`)."""
-    starts: np.ndarray
-    """First reading (n + 1,) of each taxel, and k."""
-
-    @classmethod
-    def none(cls) -> Readings:
-        """No readings of no taxels."""
-        rows, values = np.empty(0, dtype=int), np.empty(0)
-        return cls(rows, rows, values, rows, rows, values, values, np.zeros(1, dtype=int))
-
-    def without(self, left_out: np.ndarray) -> Readings:
-        """These readings without those `left_out` (k,) bool."""
-        starts = np.append(0, np.cumsum(~left_out))[self.starts]
-        each = {f.name: getattr(self, f.name)[~left_out] for f in fields(self)[:-1]}
-        return Readings(**each, starts=starts)
-
-    def of(self, taxels: np.ndarray) -> np.ndarray:
-        """Rows of the readings of some taxels, in their order."""
-        count = self.starts[taxels + 1] - self.starts[taxels]
-        return ranges(self.starts[taxels], count)
-
-
-def select(
-    data: Measurements, live: np.ndarray, points: Array, normals: Array, log_radius: float,
-    weight: Array, silent_weight: Array,
-) -> Readings:  # fmt: skip
-    """The readings that inform about `live`: rows of data.ids, several times for copies of a taxel.
-
-    points (n, 3), m, and outward normals (n, 3): of these taxels, as estimated.
-
-    With known noise, silent readings in reach are censored, and readings out of reach that noise
-    explains are left out; such readings of contacts on another sheet always. log_radius: logarithm
-    of the patches' radii over the nominal ones; weight (k,): of the measurements; silent_weight
-    (n,): of each taxel's silent readings.
-    """
-    order, starts = data.by_taxel
-    count, scale = data.counts[live], float(np.exp(log_radius))
-    mine, taxel = order[ranges(starts[live], count)], np.repeat(np.arange(len(live)), count)
-    silent_contact = silent_taxel = np.empty(0, dtype=int)
-    contact = data.contact[mine]
-    offset = points[taxel] - data.points[contact]
-    inside = same_sheet(offset, data.normals[contact], normals[taxel])
-    if data.noise is not None:
-        height = np.einsum("ki,ki->k", offset, data.normals[contact])
-        across2 = np.einsum("ki,ki->k", offset, offset) - height**2
-        inside &= across2 < (data.reach(scale)[contact] + REACH_MARGIN) ** 2
-        silent_contact, silent_taxel = silent_pairs(data, live, points, normals, scale)
-    rest = data.rest if "offset" in data.parameters.nuisance_names else np.zeros(len(data.ids))
-    inside |= data.pressure[mine] > rest[data.taxel[mine]] + MISFIT_SIGMAS * data.sigma
-    mine, taxel = mine[inside], taxel[inside]
-    none = np.full(len(silent_contact), -1)
-    contact = np.concatenate([data.contact[mine], silent_contact])
-    taxel = np.concatenate([taxel, silent_taxel])
-    end = data.ends[data.taxel[mine]]
-    kind = np.where(data.pressure[mine] < end, OBSERVED, SATURATED)
-    level = np.append(np.minimum(data.pressure[mine], end), np.full(len(none), data.threshold))
-    order = np.argsort(taxel, kind="stable")
-    return Readings(
-        contact=contact[order],
-        taxel=taxel[order],
-        level=level[order],
-        kind=np.concatenate([kind, np.full(len(none), CENSORED)]).astype(np.int8)[order],
-        source=np.concatenate([mine, none])[order],
-        weight=np.concatenate([weight[mine], silent_weight[silent_taxel]])[order],
-        precision=data.precision[contact[order]],
-        starts=np.searchsorted(taxel[order], np.arange(len(live) + 1)),
-    )
 
 
 @dataclass
@@ -187,6 +97,12 @@ class Likelihood:
         p = self.data.parameters
         return tuple(s / unit[n] for n, s in zip(p.nuisance_names, p.nuisance_sigma, strict=True))
 
+    def groups(self, taxels: np.ndarray) -> np.ndarray | int:
+        """Groups of some taxels, as `Measurements.groups`; 0 where there is one."""
+        if self.data.parameters.groups == 1:
+            return 0
+        return np.asarray(self.data.groups[self.readings.live[taxels]])
+
     def means(self, points: Array, nuisance: Array, contacts: Contacts) -> Array:
         """mu (k,), in units of the noise, of all readings; points (n, 3), nuisance (n, .)."""
         parts = [mu for _, mu, _ in self._each(points, nuisance, contacts)]
@@ -209,8 +125,8 @@ class Likelihood:
             curvature = costs(mu, read.level[part] / self.data.sigma, read.kind[part])[2]
             jacobian = jacobian[: covariance.shape[1]]
             seen = np.einsum("kij,jk->ik", covariance[read.taxel[part]], jacobian)
-            factor = read.weight[part] * read.precision[part] * curvature
-            parts.append(factor * np.sum(jacobian * seen, axis=0))
+            weight = read.weight[part] * read.precision[part]
+            parts.append(weight * curvature * np.sum(jacobian * seen, axis=0))
         return np.concatenate(parts)
 
     def _each(
@@ -220,7 +136,8 @@ class Likelihood:
         for begin in range(0, len(self.readings.taxel), BLOCK):
             part = slice(begin, begin + BLOCK)
             own, contact = self.readings.taxel[part], self.readings.contact[part]
-            yield part, *self.predict(contact, points[own], nuisance[own], contacts)
+            group = self.groups(own)
+            yield part, *self.predict(contact, points[own], nuisance[own], contacts, group)
 
     def _block(
         self, rows: np.ndarray, points: Array, nuisance: Array, contacts: Contacts
@@ -229,7 +146,9 @@ class Likelihood:
         read = self.readings
         k, count = read.of(rows), read.starts[rows + 1] - read.starts[rows]
         owner, starts = np.repeat(np.arange(len(rows)), count), np.cumsum(count) - count
-        mu, jacobian = self.predict(read.contact[k], points[owner], nuisance[owner], contacts)
+        mu, jacobian = self.predict(
+            read.contact[k], points[owner], nuisance[owner], contacts, self.groups(rows[owner])
+        )
         jacobian = jacobian[: 3 + nuisance.shape[1] + self.shared]
         level, kind = read.level[k] / self.data.sigma, read.kind[k]
         weight = read.weight[k] * read.precision[k]
@@ -254,40 +173,47 @@ class Likelihood:
         points: Array,
         nuisance: Array,
         contacts: Contacts,
+        group: np.ndarray | int = 0,
         electronics: Electronics | History | None = None,
     ) -> tuple[Array, Array]:
         """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns, errors (3) of
         contacts that have them, and with hysteresis those of that of `electronics.source`.
 
-        electronics: as of all readings, where `contact` is theirs; by default none.
+        group (k,): of the taxels, where groups of them have responses of their own; electronics: as
+        of all readings, where `contact` is theirs; by default none.
         """
         data, names = self.data, self.data.parameters.nuisance_names
-        lagging = electronics is not None and "hysteresis" in data.parameters.columns
         columns, first = data.parameters.columns, 3 + len(names)
+        lagging = electronics is not None and "hysteresis" in columns
         last = first + len(data.parameters.sigma)
-        size = last + 3 * (bool(contacts.by_load) + lagging)
-        jacobian, peak = np.zeros((size, len(contact))), contacts.peaks[contact] / data.sigma
-        if "gain" in names:
-            gain = nuisance[:, names.index("gain")]
-            amplified = 1 + data.response_levels[0] * contacts.compression
-            peak = peak * np.exp(amplified * gain)
-        mu = self._pressures(contact, points - contacts.points[contact], peak, contacts, jacobian)
-        if "gain" in names:
-            jacobian[3 + names.index("gain")] = amplified * mu
+        jacobian = np.zeros((last + 3 * (bool(contacts.by_load) + lagging), len(contact)))
+        if not contacts.others:
+            mu, group = self._levels(contact, points, nuisance, contacts, jacobian), 0
+        else:
+            mu = np.empty(len(contact))
+            for felt in contacts.each:
+                rows = np.flatnonzero(np.broadcast_to(group, len(contact)) == felt.group)
+                part = jacobian[:, rows]
+                mu[rows] = self._levels(contact[rows], points[rows], nuisance[rows], felt, part)
+                jacobian[:, rows] = part
+        compression = np.array([x.compression for x in contacts.each])[group]
+        amplified = 1 + data.response_levels[0] * compression
         if electronics is not None:
-            row, scale = 3 + names.index("gain"), np.exp(amplified * gain)
+            row = 3 + names.index("gain")
+            scale = np.exp(amplified * nuisance[:, names.index("gain")])
             mu = electronics.apply(mu, jacobian, contacts.s, scale, (row, amplified), first)
         if "compression" in columns:
-            row = first + columns["compression"].start
+            own = first + columns["compression"].start + group, np.arange(len(mu))
             if "gain" in names:
-                jacobian[row] += data.response_levels[0] * gain * mu
-            if contacts.by_load:
-                level = data.response_levels[1]
+                gain = nuisance[:, names.index("gain")]
+                jacobian[own] += data.response_levels[0] * gain * mu
+            if contacts.by_load:  # the errors are those of the first group's readings
+                level, row = data.response_levels[1], first + columns["compression"].start
                 load = level * contacts.load_errors[contact] / (1 + level * contacts.compression)
                 jacobian[row] += load * jacobian[last + 2]
                 if electronics is not None and lagging:
                     jacobian[row] += load[electronics.source] * jacobian[last + 5]
-            mu = self._compressed(mu, jacobian, contacts.compression, first)
+            mu = self._compressed(mu, jacobian, compression, own)
         if "offset_drift" in columns:
             at, drifts = columns["offset_drift"], data.drifts[contact] * data.nominal_peak
             jacobian[first + at.start : first + at.stop] = drifts.T / data.sigma
@@ -298,48 +224,60 @@ class Likelihood:
                 mu, jacobian[3 + row] = mu + added * nuisance[:, row], added
         return mu, jacobian
 
-    def _pressures(
-        self, contact: np.ndarray, offset: Array, peak: Array, contacts: Contacts, jacobian: Array
+    def _levels(
+        self, contact: np.ndarray, points: Array, nuisance: Array, contacts: Contacts, out: Array
     ) -> Array:
-        """Readings (k,) before the electronics, of taxels `offset` (k, 3), m, from their contacts,
-        at peak pressures (k,) in units of the noise; writes their derivatives in points, global
-        parameters and errors of the contacts into `jacobian`."""
-        data, parameters, features = self.data, self.data.parameters, None
-        means = disc_means(data.model.name, offset, contact, contacts, data.disc)
-        if "profile" in parameters.columns:
-            profile = ProfileCorrection(data.profile_extent)
-            features, means = corrected_means(means, profile, offset, contact, contacts)
+        """Levels (k,) before electronics and compression, in units of the noise, with the response
+        of one group; writes their derivatives into `out`, as of `predict`."""
+        data, names = self.data, self.data.parameters.nuisance_names
+        offset = points - contacts.points[contact]
+        columns, first = data.parameters.columns_of(contacts.group), 3 + len(names)
+        means, features = disc_means(data.model.name, offset, contact, contacts, data.disc), None
+        if "profile" in columns:
+            correction = ProfileCorrection(data.profile_extent)
+            features, means = corrected_means(means, correction, offset, contact, contacts)
         mean, by_point, by_shape = means
-        mu, jacobian[:3] = peak * mean, peak * by_point.T
+        peak = contacts.peaks[contact] / data.sigma
+        if "gain" in names:
+            gain = nuisance[:, names.index("gain")]
+            amplified = 1 + data.response_levels[0] * contacts.compression
+            peak = peak * np.exp(amplified * gain)
+            out[3 + names.index("gain")] = amplified * peak * mean
+        mu = peak * mean
+        out[:3] = peak * by_point.T
         by_shape = tuple(peak * by for by in by_shape)
         if contacts.moves is not None:  # a motion of the contact's frame is the taxel's, reversed
             wrench = np.concatenate([by_point, np.cross(offset, by_point)], 1) * peak[:, None]
-        first, at = (
-            3 + len(parameters.nuisance_names),
-            parameters.columns.get("profile", slice(0, 0)),
-        )
-        for row in np.setdiff1d(np.arange(self.shared), np.arange(at.start, at.stop)):
-            jacobian[first + row] = mu * contacts.log_peak[contact, row]
+        profile = data.parameters.columns.get("profile", slice(0, 0))
+        for row in np.setdiff1d(np.arange(self.shared), np.arange(profile.start, profile.stop)):
+            out[first + row] = mu * contacts.log_peak[contact, row]
             for by, slope in zip(by_shape, contacts.shape, strict=True):
-                jacobian[first + row] += by * slope[contact, row]
+                out[first + row] += by * slope[contact, row]
             if (moves := contacts.moves) is not None:
-                jacobian[first + row] -= np.einsum("ki,ki->k", wrench, moves[contact, :, row])
+                out[first + row] -= np.einsum("ki,ki->k", wrench, moves[contact, :, row])
         if features is not None and self.shared:
-            jacobian[first + at.start : first + at.stop] = peak * features.T
+            at = columns["profile"]
+            out[first + at.start : first + at.stop] = peak * features.T
         if contacts.by_load:
-            last = first + len(parameters.sigma)
+            last = first + len(data.parameters.sigma)
             for row, side in enumerate((contacts.directions, contacts.across), last):
-                jacobian[row] = -np.einsum("ik,ki->k", jacobian[:3], side[contact])
+                out[row] = -np.einsum("ik,ki->k", out[:3], side[contact])
             *slopes, by_peak = (slope[contact] for slope in contacts.by_load)
             by_axes = sum(by * slope for by, slope in zip(by_shape, slopes, strict=True))
-            jacobian[last + 2] = mu * by_peak + by_axes
-        return mu
+            out[last + 2] = mu * by_peak + by_axes
+        return np.asarray(mu)
 
-    def _compressed(self, mu: Array, jacobian: Array, compression: float, first: int) -> Array:
-        """Compressed readings y / (1 + c y / p), p being the nominal peak; rescales `jacobian`."""
-        row = first + self.data.parameters.columns["compression"].start
+    def _compressed(
+        self,
+        mu: Array,
+        jacobian: Array,
+        compression: Array,
+        own: tuple[np.ndarray | int, np.ndarray],
+    ) -> Array:
+        """Compressed readings y / (1 + c y / p), p being the nominal peak; rescales `jacobian`,
+        whose entries `own` are the derivatives in c."""
         relative = mu * (self.data.sigma / self.data.nominal_peak)
         scale = 1 / np.maximum(1 + compression * relative, MIN_DENOMINATOR)
         jacobian *= scale**2
-        jacobian[row] -= mu * relative * scale**2
+        jacobian[own] -= mu * relative * scale**2
         return np.asarray(mu * scale)

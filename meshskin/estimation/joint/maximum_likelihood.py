@@ -35,7 +35,6 @@ from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .fault_detection import even, outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
-from .likelihood import Readings
 from .likelihood_widths import widened
 from .model_departures import ModelDepartures
 from .module_parametrization import (
@@ -49,6 +48,7 @@ from .null_space import undetermined, undetermined_motion
 from .outlier_rejection import reject_outliers, without_misfitting_contacts
 from .parametrization import Parametrization, SurfaceParametrization
 from .pressure import OBSERVED
+from .readings import Readings
 from .reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .rival_optima import RivalOptima, resolve_rivals
 from .variable_projection import SchurComplement

@@ -22,8 +22,8 @@ from ..data.pairs import SILENT_SIGMAS, silent_pairs
 from ..uncertainty.goodness_of_fit import MIN_PAIRS
 from .fault_detection import MIN_SCALE, even, outliers
 from .joint_estimator import JointEstimator
-from .likelihood import Readings
 from .pressure import CENSORED, OBSERVED
+from .readings import Readings
 from .variable_projection import SchurComplement
 
 MIN_CLEARANCE = 3.0

@@ -27,7 +27,7 @@ from ...core.arrays import Array
 from ...core.many_points import ColumnFunction
 
 if TYPE_CHECKING:
-    from .contacts import Contacts
+    from .contact_state import Contacts
 
 OBSERVED, CENSORED, SATURATED = 0, 1, -1
 """Kinds of a reading: observed, censored at the threshold, censored at the end of the range; the

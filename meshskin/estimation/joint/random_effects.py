@@ -31,12 +31,13 @@ from .departures import FittedReadings
 from .deviations import Deviations
 from .electronics import Electronics
 from .lagged_system import LaggedSystem
-from .likelihood import BLOCK, Likelihood, Readings
+from .likelihood import BLOCK, Likelihood
 from .noise import certain_silences, clear_of_limits
 from .parametrization import Unknowns
 from .posterior import Posterior, Probes
 from .pressure import OBSERVED, robust_costs
 from .reading_sums import CONTACT_SIZE
+from .readings import Readings
 from .variable_projection import LOOSE_SIGMA
 
 MAX_ITERATIONS, USUAL_ITERATIONS = 60, 30
@@ -162,9 +163,9 @@ class RandomEffects:
         size = BLOCK if by is None else max(count, 1)
         for begin in range(0, count, size):
             rows = slice(begin, begin + size)
-            own = readings.taxel[rows]
-            at = readings.contact[rows]
-            yield rows, *self.likelihood.predict(at, points[own], u.nuisance[own], contacts, by)
+            at, own = readings.contact[rows], readings.taxel[rows]
+            values = points[own], u.nuisance[own], contacts, self.likelihood.groups(own), by
+            yield rows, *self.likelihood.predict(at, *values)
 
     def fitted(self) -> FittedReadings:
         """The readings at the present values."""
@@ -308,8 +309,7 @@ class RandomEffects:
 
     def posterior(self, system: CoupledSystem) -> Posterior:
         """The posterior of the effects at the present point."""
-        root = np.sqrt(self._once(self._costs)[2]) / self.spread
-        p = self.data.parameters
+        root, p = np.sqrt(self._once(self._costs)[2]) / self.spread, self.data.parameters
         profile, names = p.columns["profile"], p.nuisance_names
         return Posterior.of(system, self.jacobian, root, self.prior, self.probes, profile, names)
 

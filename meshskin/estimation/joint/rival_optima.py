@@ -18,9 +18,10 @@ import numpy as np
 from ...contact.reading import same_sheet
 from ...core.arrays import Array, ranges
 from .joint_estimator import JointEstimator
-from .likelihood import Likelihood, Readings, select
+from .likelihood import Likelihood
 from .parametrization import SurfaceParametrization
 from .pressure import OBSERVED
+from .readings import Readings, select
 from .variable_projection import MAX_STEPS, ReducedProblem
 
 T = TypeVar("T")
@@ -279,4 +280,4 @@ def union(first: Readings, second: Readings) -> Readings:
     kept = np.unique(pairs, axis=1, return_index=True)[1]
     columns = {name: values[kept] for name, values in columns.items()}
     starts = np.searchsorted(columns["taxel"], np.arange(len(first.starts)))
-    return Readings(**columns, starts=starts)
+    return Readings(**columns, starts=starts, live=first.live)

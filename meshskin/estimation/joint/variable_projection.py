@@ -230,8 +230,11 @@ class ReducedProblem:
         read, points = self.likelihood.readings, self.points(state)
         nuisance = self.nuisance(state.z, np.arange(self.parametrization.count))
         own, contacts = read.taxel[first], self.contacts.at(state.s)
+        group = self.likelihood.groups(own)
         one, other = (
-            self.likelihood.predict(read.contact[rows], points[own], nuisance[own], contacts)[1]
+            self.likelihood.predict(
+                read.contact[rows], points[own], nuisance[own], contacts, group
+            )[1]
             for rows in (first, second)
         )
         full, apart = self._taxel_covariances(state, reduced)[own], (one - other).T

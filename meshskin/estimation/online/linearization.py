@@ -15,11 +15,12 @@ from ..data.measurements import Measurements
 from ..joint import fault_detection as faults
 from ..joint.contacts import LinearizedContacts
 from ..joint.joint_estimator import JointEstimator
-from ..joint.likelihood import Likelihood, select
+from ..joint.likelihood import Likelihood
 from ..joint.noise import clear_of_limits, predictions
 from ..joint.outlier_rejection import irls
 from ..joint.parametrization import SurfaceParametrization
 from ..joint.pressure import OBSERVED, costs
+from ..joint.readings import select
 from ..joint.reduced_nlp import MAX_ITERATIONS
 from ..joint.variable_projection import SchurComplement
 from ..trilateration import trilaterate
@@ -64,15 +65,17 @@ def new_readings(
     (t, D + ks, D + ks): of the taxels' own unknowns and s.
     """
     t = len(step)
-    contacts = LinearizedContacts(data, s).at(s)
-    log_radius = float(np.median(np.log(contacts.radii / data.radii)))
+    linearized = LinearizedContacts(data, s)
+    contacts, log_radius = linearized.at(s), linearized.log_growth(s)
     points, slopes = charts.at(step), charts.slope(step)
     found = select(
         data, np.arange(t), points, charts.normals, log_radius, np.ones(len(data.taxel)), np.ones(t)
     )
     own = found.taxel
     likelihood = Likelihood(data, found)
-    mu, by = likelihood.predict(found.contact, points[own], nuisance[own], contacts)
+    mu, by = likelihood.predict(
+        found.contact, points[own], nuisance[own], contacts, likelihood.groups(own)
+    )
     by = by[: 3 + nuisance.shape[1] + likelihood.shared]
     along = np.einsum("kia,ik->ka", slopes[own], by[:3])
     jacobian = np.concatenate([along, by[3:].T], axis=1)

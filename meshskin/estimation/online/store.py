@@ -199,7 +199,8 @@ class ContactStore:
             corrupt=np.column_stack([contact, taxel])[~sound],
             misfitting=np.flatnonzero(self.misfitting.values[contacts]),
         )
-        data.__dict__.update(self._typical, ids=np.arange(len(taxels)))
+        groups = self.template.groups[taxels]
+        data.__dict__.update(self._typical, ids=np.arange(len(taxels)), groups=groups)
         data.__dict__["rest"] = self._rest(taxels)
         return Part(data, rows[sound])
 

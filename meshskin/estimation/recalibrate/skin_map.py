@@ -16,6 +16,7 @@ from ...core.value import Value
 from ...skin import slots
 from ...skin.skin import Skin
 from ..calibration import Calibration
+from ..data.global_parameters import IN_GROUP
 
 if TYPE_CHECKING:
     from ...scene.belief import Belief
@@ -97,7 +98,7 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
     if isinstance(previous, Calibration):
         own = np.nan_to_num(previous.covariances[order, :3, :3], posinf=sigma**2)
         covariance = poses[:, :3, :3] @ own @ np.swapaxes(poses[:, :3, :3], 1, 2)
-        factor = amplification(previous)
+        factor = amplification(previous)[:, None]
         log_gain, offset = (
             np.nan_to_num(previous.taxel_unknowns[name][order], posinf=0.0)
             if name in previous.taxel_unknowns else none
@@ -127,12 +128,17 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
     )  # fmt: skip
 
 
-def amplification(previous: Calibration) -> float:
-    """What ln gain is multiplied by in the level of a reading: a gain is that of readings of the
-    typical level, which compression makes smaller (joint/likelihood.py)."""
-    if previous.response is None:
-        return 1.0
-    return 1 + previous.response.levels[0] * previous.unknowns.get("compression", (0.0, 0.0))[0]
+def amplification(previous: Calibration) -> Array:
+    """What ln gain (n,) is multiplied by in the level of a reading, for the rising ids: a gain is
+    that of readings of the typical level, which compression makes smaller (joint/likelihood.py)."""
+    ids = np.sort(previous.ids)
+    factor = np.ones(len(ids))
+    for group, response in enumerate(() if previous.response is None else previous.response.each):
+        name = "compression" + (IN_GROUP.format(group + 1) if group else "")
+        compression = previous.unknowns.get(name, (0.0, 0.0))[0]
+        own = np.isin(ids, response.taxels) | (group == 0)
+        factor[own] = 1 + response.levels[0] * compression
+    return factor
 
 
 def _fill(

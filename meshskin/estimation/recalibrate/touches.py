@@ -26,9 +26,11 @@ from ...contact import Patches
 from ...contact.reading import same_sheet
 from ...core.arrays import Array
 from ..data.measurements import Measurements
-from ..joint.contacts import Contacts, LinearizedContacts
-from ..joint.likelihood import MIN_DENOMINATOR, Likelihood, Readings
+from ..joint.contact_state import Contacts
+from ..joint.contacts import LinearizedContacts
+from ..joint.likelihood import MIN_DENOMINATOR, Likelihood
 from ..joint.pressure import disc_means
+from ..joint.readings import Readings
 from ..localization import CalibratedSkin
 from .hypotheses import Hypothesis
 from .skin_map import SkinMap
@@ -138,12 +140,14 @@ class Touches:
         """skin: the response that the map's calibration learned; None: the contact model's."""
         self.data, self.known, self.skin = data, known, skin
         self.unit = float(np.median(data.peaks))
-        self.force_scatter, self.compression, self.log_modulus = 0.0, 0.0, 0.0
+        self.force_scatter, self.log_modulus = 0.0, 0.0
+        self.compression, self.groups = np.zeros(1), np.zeros(len(data.ids), dtype=int)
+        """Compression of each group of responses, and group (n,) of each taxel."""
         if skin is not None:
             self.force_scatter, at = skin.deviations.force, skin.data.parameters.columns
-            self.compression = float(skin.s[at["compression"]][0]) * self.unit
-            self.compression /= skin.data.nominal_peak
-            self.log_modulus = float(skin.s[at["modulus"]][0])
+            self.compression = skin.s[at["compression"]] * self.unit / skin.data.nominal_peak
+            self.log_modulus = float(skin.s[at["modulus"]].min())  # of the widest patches
+            self.groups = skin.data.groups
         self.threshold = data.threshold / self.unit
         m, n = len(data.points), len(data.ids)
         self.level = np.full((m, n), np.nan)
@@ -177,14 +181,16 @@ class Touches:
         covariance = np.stack([h.covariance for h in hypotheses])
         spread = np.trace(covariance, axis1=2, axis2=3)[which, taxel] / 2 + errors.tau**2
         spread += np.array([h.shift_sigma for h in hypotheses])[which] ** 2
+        group = self.groups[rows][taxel]
         predicted = self._predict(
-            offset[which, taxel, contact], contact, np.sqrt(spread).clip(max=MAX_STEP), errors
-        )
+            offset[which, taxel, contact], contact, group,
+            np.sqrt(spread).clip(max=MAX_STEP), errors,
+        )  # fmt: skip
         gain = np.exp(np.stack([h.log_gain for h in hypotheses]))[which, taxel]
         gain = np.where(own[which, taxel, contact], gain, 0.0)
         scale, known = self.unit * self.data.unit, self.known
         columns = (
-            *self._read(gain, *predicted),
+            *self._read(gain, group, *predicted),
             known.log_gain_sigma[rows][taxel],
             known.offset_sigma[rows][taxel] / scale,
         )
@@ -204,12 +210,13 @@ class Touches:
         return np.asarray(scale * extent * self.data.longest + self.data.disc)
 
     def _read(
-        self, gain: Array, mean: Array, slope: Array, bend: Array, by_modulus: Array
-    ) -> tuple[Array, ...]:
+        self, gain: Array, group: np.ndarray, mean: Array, slope: Array, bend: Array,
+        by_modulus: Array,
+    ) -> tuple[Array, ...]:  # fmt: skip
         """mu (q,) with its slopes (q, 3), bend (q,), and slopes (q,) in ln E* and ln gain, of
-        levels times `gain` (q,), compressed."""
+        levels times `gain` (q,), compressed as those of a group (q,)."""
         mean = gain * mean
-        kept = 1 / np.maximum(1 + self.compression * mean, MIN_DENOMINATOR)
+        kept = 1 / np.maximum(1 + self.compression[group] * mean, MIN_DENOMINATOR)
         factor = gain * kept**2
         return (
             mean * kept, factor[:, None] * slope, factor**2 * bend, factor * by_modulus,
@@ -217,17 +224,19 @@ class Touches:
         )  # fmt: skip
 
     def _predict(
-        self, offset: Array, contact: np.ndarray, step: Array, errors: Errors
+        self, offset: Array, contact: np.ndarray, group: np.ndarray, step: Array, errors: Errors
     ) -> tuple[Array, Array, Array, Array]:
-        """mu (q,), its slopes (q, 3), its bend (q,) and its slope (q,) in ln E*."""
+        """mu (q,) of taxels of a group (q,), its slopes (q, 3), its bend (q,) and its slope (q,) in
+        ln E*."""
         along, across = self.data.directions[contact], self.across[contact]
         h = np.sqrt(3.0) * step[:, None]
         moves = np.stack([0 * along, h * along, -h * along, h * across, -h * across])
         q = len(offset)
         around = self._means(
-            (offset + moves).reshape(-1, 3), np.tile(contact, 5), errors.log_modulus
-        ).reshape(5, q)
-        stiffer = self._means(offset, contact, errors.log_modulus + E_STEP)
+            (offset + moves).reshape(-1, 3), np.tile(contact, 5), errors.log_modulus,
+            np.tile(group, 5),
+        ).reshape(5, q)  # fmt: skip
+        stiffer = self._means(offset, contact, errors.log_modulus + E_STEP, group)
         slope = ((around[1] - around[2]) / (2 * h[:, 0]))[:, None] * along
         slope += ((around[3] - around[4]) / (2 * h[:, 0]))[:, None] * across
         curve = [(around[k] + around[k + 1] - 2 * around[0]) / 6 for k in (1, 3)]
@@ -236,13 +245,14 @@ class Touches:
         by_modulus = (stiffer - around[0]) / E_STEP
         return scale * mean, scale * slope, scale**2 * bend, scale * by_modulus
 
-    def _means(self, offset: Array, contact: np.ndarray, log_modulus: float) -> Array:
-        """Levels (q,) of taxels `offset` (q, 3), m, from their contacts."""
+    def _means(
+        self, offset: Array, contact: np.ndarray, log_modulus: float, group: np.ndarray | int = 0
+    ) -> Array:
+        """Levels (q,) of taxels of a group (q,), `offset` (q, 3), m, from their contacts."""
         data, none = self.data, np.zeros((len(self.data.points), 0))
         if self.skin is not None:
-            return np.maximum(_learned_levels(self.skin, contact, offset, log_modulus), 0.0) / (
-                self.unit
-            )
+            level = _learned_levels(self.skin, contact, offset, log_modulus, group)
+            return np.maximum(level, 0.0) / self.unit
         if log_modulus not in self._patches:
             self._patches[log_modulus] = data.model.patches(
                 force=data.force,
@@ -257,17 +267,21 @@ class Touches:
 
 
 def _learned_levels(
-    skin: CalibratedSkin, contact: np.ndarray, offset: Array, log_modulus: float
-) -> Array:
-    """Levels (q,), Pa, of taxels `offset` (q, 3), m, from their contacts (q,), before gain,
-    compression and offset, under E* times exp(log_modulus)."""
+    skin: CalibratedSkin, contact: np.ndarray, offset: Array, log_modulus: float,
+    group: np.ndarray | int,
+) -> Array:  # fmt: skip
+    """Levels (q,), Pa, of taxels of a group (q,), `offset` (q, 3), m, from their contacts (q,),
+    before gain, compression and offset, under E* times exp(log_modulus)."""
     s = skin.s.copy()
     s[skin.data.parameters.columns["modulus"]] += log_modulus
-    contacts = replace(LinearizedContacts(skin.data, s).at(s), compression=0.0)
+    first, *others = (
+        replace(x, compression=0.0) for x in LinearizedContacts(skin.data, s).at(s).each
+    )
+    contacts = replace(first, others=tuple(others))
     nuisance = np.zeros((len(contact), skin.nuisance.shape[1]))
     likelihood = Likelihood(skin.data, Readings.none())
     points = contacts.points[contact] + offset
-    return likelihood.predict(contact, points, nuisance, contacts)[0] * skin.data.sigma
+    return likelihood.predict(contact, points, nuisance, contacts, group)[0] * skin.data.sigma
 
 
 def log_likelihoods(level: Array, mean: Array, c: Array, errors: Errors, threshold: float) -> Array:

@@ -19,7 +19,8 @@ from ..data.global_parameters import GlobalParameters
 from ..data.measurements import Measurements
 from ..data.pairs import REACH_MARGIN, near_pairs
 from ..joint.contacts import LinearizedContacts
-from ..joint.likelihood import Likelihood, Readings
+from ..joint.likelihood import Likelihood
+from ..joint.readings import Readings
 from ..trilateration.displacements import surface_motion
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from ...core.arrays import Array
 from ...scene.belief import RAW
 from ..data.sensor_range import unanswered_contacts
 from ..joint.contact_correlations import KINDS
+from ..result import LearnedResponse, ids_in_words
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording
@@ -188,9 +189,18 @@ def few_readings(calibration: Calibration) -> list[Finding]:
 def scale(data: Measurements, calibration: Calibration) -> list[Finding]:
     """The scale of pressures that a learned response corrects: the largest reading of the profile
     against that of the nominal contact model."""
-    response = calibration.response
-    if response is None or data.belief.readings == RAW:
+    if data.belief.readings == RAW:
         return []
+    return [finding for one in _responses(calibration) for finding in _scale(data, one)]
+
+
+def _responses(calibration: Calibration) -> tuple[LearnedResponse, ...]:
+    """The learned responses of all groups of taxels."""
+    return () if calibration.response is None else calibration.response.each
+
+
+def _scale(data: Measurements, response: LearnedResponse) -> list[Finding]:
+    """`scale` of the response of one group."""
     top = int(np.argmax(response.profile))
     reading = np.interp(response.profile[top], response.level, response.reading)
     believed = data.nominal_peak * disc_mean(0.0, data.disc / float(np.median(data.radii)))
@@ -198,7 +208,8 @@ def scale(data: Measurements, calibration: Calibration) -> list[Finding]:
     if abs(value) < max(np.log(MAX_SCALE), PRIOR_SIGMAS * sigma):
         return []
     words = (
-        f"the pressures are {np.exp(value):.2g} times those of the contact model (limit: a factor "
+        f"the pressures{_of(response)} are {np.exp(value):.2g} times those of the contact model "
+        "(limit: a factor "
         f"of {MAX_SCALE:g}): the learned response allows for it; check the scale of pressures and "
         "forces, and the layer's thickness"
     )
@@ -210,9 +221,16 @@ def profile(data: Measurements, calibration: Calibration) -> list[Finding]:
 
     Below the threshold nothing is read: what the profile does there is not seen.
     """
-    response = calibration.response
-    if response is None:
-        return []
+    return [finding for one in _responses(calibration) for finding in _profile(data, one)]
+
+
+def _of(response: LearnedResponse) -> str:
+    """Whose response it is, where groups of taxels have their own."""
+    return f" of taxels {ids_in_words(response.taxels)}" if len(response.taxels) else ""
+
+
+def _profile(data: Measurements, response: LearnedResponse) -> list[Finding]:
+    """`profile` of the response of one group."""
     value = np.maximum(response.profile, response.unit * data.threshold)
     sigma = response.profile_sigma
     lowest = np.array([int(np.argmin(value[: k + 1])) for k in range(len(value))])
@@ -222,9 +240,10 @@ def profile(data: Measurements, calibration: Calibration) -> list[Finding]:
         return []
     risen, (near, far) = value[k] - value[lowest[k]], 1e3 * response.distance[[lowest[k], k]]
     words = (
-        f"the learned profile rises by {risen / value.max():.2g} of its peak from {near:.2g} to "
-        f"{far:.2g} mm from the contact point (limit {MIN_RISE:g} beyond {RISE_SIGMAS:g} standard "
-        "deviations): patches that are not round, two contacts, or crosstalk; see its figure"
+        f"the learned profile{_of(response)} rises by {risen / value.max():.2g} of its peak from "
+        f"{near:.2g} to {far:.2g} mm from the contact point (limit {MIN_RISE:g} beyond "
+        f"{RISE_SIGMAS:g} standard deviations): patches that are not round, two contacts, or "
+        "crosstalk; see its figure"
     )
     return [(DOUBT, words)]
 

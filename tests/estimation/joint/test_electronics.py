@@ -9,7 +9,7 @@ from meshskin.estimation.data.global_parameters import declared_parameters
 from meshskin.estimation.joint.electronics import Electronics
 from meshskin.estimation.joint.known_past import KnownPast
 from meshskin.estimation.joint.leaks import Leaks
-from meshskin.estimation.joint.likelihood import Readings
+from meshskin.estimation.joint.readings import Readings
 
 PEAK, SIGMA = 2e5, 2e3
 

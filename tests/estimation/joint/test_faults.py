@@ -13,8 +13,8 @@ from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint import fault_detection, outlier_rejection
-from meshskin.estimation.joint.likelihood import Readings
 from meshskin.estimation.joint.pressure import CENSORED, OBSERVED
+from meshskin.estimation.joint.readings import Readings
 from meshskin.estimation.uncertainty.metrics import nees, position_errors
 from meshskin.recording.recording import READINGS, Recording
 

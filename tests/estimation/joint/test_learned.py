@@ -19,7 +19,8 @@ from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint import random_effects
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.learned import with_learned_response
-from meshskin.estimation.joint.likelihood import Likelihood, select
+from meshskin.estimation.joint.likelihood import Likelihood
+from meshskin.estimation.joint.readings import select
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Cap
 from meshskin.recording.recording import CONTACTS, READINGS, Recording
@@ -119,8 +120,10 @@ def errors(calibration):
     return np.sqrt(np.mean(off**2)), np.sqrt(np.mean(stated))
 
 
-def test_every_derivative_of_the_learned_response():
-    data = gather(recording(*world(contacts=80)), belief(contact="learned"))
+@pytest.mark.parametrize("groups", [(), (range(5, 12), [0, 20])])
+def test_every_derivative_of_the_learned_response(groups):
+    known = belief(contact="learned", response_groups=groups)
+    data = gather(recording(*world(contacts=80)), known)
     data = replace(with_learned_response(data, TRUTH), response_levels=(0.4, 0.3))
     n, m = len(TRUTH), len(data.points)
     readings = select(
@@ -139,8 +142,9 @@ def test_every_derivative_of_the_learned_response():
     def predict(points, nuisance, s, errors):
         own = readings.taxel
         return likelihood.predict(
-            readings.contact, points[own], nuisance[own], contacts.with_errors(s, errors)
-        )
+            readings.contact, points[own], nuisance[own], contacts.with_errors(s, errors),
+            likelihood.groups(own),
+        )  # fmt: skip
 
     jacobian = predict(*at)[1]
     parts = ((0, 3, 1e-8), (1, 2, 1e-6), (2, len(s), 1e-6), (3, 3, None))

@@ -5,7 +5,7 @@ import pytest
 
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.joint.fault_detection import misfitting_contacts
-from meshskin.estimation.joint.likelihood import Readings
+from meshskin.estimation.joint.readings import Readings
 
 
 def bumps(world, change, every):
@@ -40,7 +40,7 @@ def test_misfitting_contacts_are_those_that_chance_does_not_explain():
     readings = Readings(
         contact=np.tile(np.arange(100), 2), taxel=taxel, level=np.ones(200),
         kind=np.zeros(200, dtype=int), source=np.arange(200), weight=np.ones(200),
-        precision=np.ones(200), starts=np.array([0, 100, 200]),
+        precision=np.ones(200), starts=np.array([0, 100, 200]), live=np.arange(2),
     )  # fmt: skip
     r = np.zeros(200)
     r[[7, 107]] = np.sqrt(13.7 / 2)

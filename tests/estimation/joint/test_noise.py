@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.calibrate import Estimation, calibrate
-from meshskin.estimation.joint.likelihood import Readings
 from meshskin.estimation.joint.noise import neighbours
+from meshskin.estimation.joint.readings import Readings
 
 NOISE = 0.05
 """Relative to the peak, as is the threshold: readings from one standard deviation on."""

@@ -10,9 +10,11 @@ from meshskin.core.errors import CalibrationError, UnknownNameError
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.data.global_parameters import PRIORS, SIZES, declared_parameters
 from meshskin.estimation.data.pairs import near_pairs
-from meshskin.estimation.joint.contacts import Contacts, LinearizedContacts
-from meshskin.estimation.joint.likelihood import Likelihood, Readings
+from meshskin.estimation.joint.contact_state import Contacts
+from meshskin.estimation.joint.contacts import LinearizedContacts
+from meshskin.estimation.joint.likelihood import Likelihood
 from meshskin.estimation.joint.pressure import censored, costs, disc_means
+from meshskin.estimation.joint.readings import Readings
 
 EVERY = (
     *("modulus", "gain", "offset", "force_scale", "force_offset", "indenter_offset"),

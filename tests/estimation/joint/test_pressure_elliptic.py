@@ -6,10 +6,12 @@ import pytest
 from meshskin.contact import ContactModel, Patches
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.data.pairs import near_pairs
-from meshskin.estimation.joint.contacts import Contacts, LinearizedContacts
-from meshskin.estimation.joint.likelihood import Likelihood, Readings
+from meshskin.estimation.joint.contact_state import Contacts
+from meshskin.estimation.joint.contacts import LinearizedContacts
+from meshskin.estimation.joint.likelihood import Likelihood
 from meshskin.estimation.joint.patch_derivatives import loaded_patches
 from meshskin.estimation.joint.pressure import disc_means
+from meshskin.estimation.joint.readings import Readings
 from meshskin.geometry.primitives import Ellipsoid
 
 MODELS = {"elliptic": ContactModel("elliptic"), "layered": ContactModel("layered", 0.49, 4e-3)}

@@ -12,8 +12,9 @@ from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint import reduced_nlp
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.joint_estimator import JointEstimator
-from meshskin.estimation.joint.likelihood import Likelihood, select
+from meshskin.estimation.joint.likelihood import Likelihood
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
+from meshskin.estimation.joint.readings import select
 from meshskin.estimation.joint.reduced_nlp import minimize
 from meshskin.estimation.joint.variable_projection import ReducedProblem
 

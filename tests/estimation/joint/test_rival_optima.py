@@ -14,9 +14,9 @@ from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.estimation.chart import charts_at
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint.joint_estimator import JointEstimator
-from meshskin.estimation.joint.likelihood import Readings
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.joint.pressure import OBSERVED
+from meshskin.estimation.joint.readings import Readings
 from meshskin.estimation.joint.rival_optima import find_rivals, open_sectors, resolve_rivals
 
 

@@ -9,9 +9,10 @@ from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint import module_parametrization
 from meshskin.estimation.joint.contacts import LinearizedContacts
-from meshskin.estimation.joint.likelihood import Likelihood, select
+from meshskin.estimation.joint.likelihood import Likelihood
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.joint.pressure import CENSORED, censored
+from meshskin.estimation.joint.readings import select
 from meshskin.estimation.joint.variable_projection import ReducedProblem
 from meshskin.estimation.uncertainty.goodness_of_fit import goodness_of_fit
 
