@@ -56,9 +56,13 @@ EDGE = 0.05
 """Unevenness from which contacts are over an edge. Smooth bodies have less where their curvature
 jumps (0.044 where the caps of bodies/capsule.toml begin) or changes (0.002 on its torus); and the
 contact models themselves hold to some percent of the peak (layered.py)."""
-MAX_EDGES = 0.5
-"""Largest part of the contacts over edges: with more, most residuals tell nothing of noise and
-model."""
+EDGE_ERROR = 1 / 3
+"""Rms error of a contact model's readings in contacts over an edge, relative to the unevenness:
+0.26 to 0.33 for thin layers on link meshes, where overlap makes the pressure, as in test_edges.py; 0.16
+to 0.25 in simulated recordings."""
+MAX_EDGES = 0.9
+"""Largest part of the contacts over edges: residuals of the others, some ten of a usual recording
+at least, tell of noise and model."""
 GRAZING = 1e-6
 """Sine of the elevation over the surface within which a point in a tangent plane is outside of it:
 far above rounding."""
@@ -81,12 +85,15 @@ def unevenness(belief: Belief, hit: Closest, force: Array) -> Array:
 
 
 def over_edges(belief: Belief, hit: Closest, force: Array) -> Array:
-    """`unevenness` (m,) of the contacts `hit` that are over an edge of the body, 0 of the others;
-    an exact surface has no edges. force (n,), N: forces, the median of which counts."""
+    """Parts (m,) of the peak pressures by which those of the contacts `hit` differ from a contact
+    model's, rms: 0 but where they are over an edge of the body; an exact surface has none.
+
+    force (n,), N: forces, the median of which counts.
+    """
     if not hasattr(belief.body, "surface") or not len(hit.point):
         return np.zeros(len(hit.point))
     found = unevenness(belief, hit, force)
-    return np.where(found > EDGE, found, 0.0)
+    return np.where(found > EDGE, EDGE_ERROR * found, 0.0)
 
 
 def over_patches(belief: Belief, hit: Closest, force: Array) -> Closest:

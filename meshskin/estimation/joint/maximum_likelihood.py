@@ -23,6 +23,7 @@ from ...core.progress import Stage
 from .. import chart
 from ..data.global_parameters import RADIUS_TOLERANCE, radius_deviation
 from ..data.measurements import Measurements
+from ..data.patch_shape import MAX_EDGES
 from ..result import (
     CENSORING,
     MOSTLY_OUTLIERS,
@@ -290,12 +291,11 @@ def _modulus(estimator: JointEstimator, covariance: Array) -> tuple[float, float
 
 
 def _variance(readings: Readings, r: Array, kept: Array) -> float:
-    """Variance of the residuals r (k,), of which each has the part kept (k,), of observed readings
-    that tell of the noise; where most do not, that of all, and no less than that of the nominal
-    noise: their residuals are smaller than edges may make them."""
+    """Variance of the residuals r (k,), each of which has the part kept (k,) of it, of observed
+    readings that tell of the noise; where few do, that of all, and at least the nominal one."""
     observed = readings.kind == OBSERVED
     counted = observed & even(readings)
-    few = kept[counted].sum() < 0.5 * kept[observed].sum()
+    few = kept[counted].sum() < (1 - MAX_EDGES) * kept[observed].sum()
     counted = observed if few else counted
     square = float(readings.weight[counted] @ r[counted] ** 2)
     return max(square / max(float(kept[counted].sum()), 1.0), 1.0 if few else 0.0)
