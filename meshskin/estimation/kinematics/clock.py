@@ -53,20 +53,28 @@ def first_offset(
 
     present = centres(0.0)
 
-    def compare(offset: float) -> tuple[Array, Array]:
-        """Spreads (t,) of the taxels, m^2, with the offset, and with none, by the readings whose
-        contacts are known with either; none where these are few."""
-        moved = centres(offset)
-        both = np.isfinite(moved[contact, 0]) & np.isfinite(present[contact, 0])
-        if np.mean(both) < MIN_USED:
-            return np.array([np.inf]), np.array([np.inf])
-        row, weights, owner = contact[both], weight[both], taxel[both]
-        found, now = (spreads(points[row], weights, owner) for points in (moved, present))
-        return found, now
+    def compared(points: Array) -> np.ndarray:
+        """Readings (k,) bool whose contacts are known with `points` (m, 3), and with no offset;
+        none where these are few."""
+        known = np.isfinite(points[contact, 0]) & np.isfinite(present[contact, 0])
+        return known & (np.mean(known) >= MIN_USED)
+
+    def spread(points: Array, used: np.ndarray) -> Array:
+        """Spreads (t,) of the taxels, m^2, by contacts at `points` (m, 3) of the readings used."""
+        if not used.any():
+            return np.array([np.inf])
+        return spreads(points[contact[used]], weight[used], taxel[used])
+
+    def spread_at(offset: float) -> float:
+        """Mean spread, m^2, of the taxels with the offset."""
+        points = centres(offset)
+        return float(np.mean(spread(points, compared(points))))
 
     tried = STEP * np.arange(-round(LARGEST / STEP), round(LARGEST / STEP) + 1)
-    best = min(tried, key=lambda offset: float(np.mean(compare(offset)[0])))
-    found, now = compare(best)
+    best = min(tried, key=spread_at)
+    points = centres(best)
+    used = compared(points)
+    found, now = spread(points, used), spread(present, used)
     ratio, chance = float(np.mean(found) / np.mean(now)), comparison(found, now)[1]
     shown = ratio < FAR_GAIN or (ratio < LATE_GAIN and chance < CHANCE)
     return float(best) if shown else 0.0
