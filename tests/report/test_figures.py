@@ -344,3 +344,13 @@ def test_estimates_that_coincide_are_drawn_in_millimetres() -> None:
     assert factor == 1.0
     assert (short[:3] == 1.0).all()
     assert short[3] * 0.5 == pytest.approx(2.5 * 5.5e-3)
+
+
+def test_the_numbers_of_a_color_bar_are_plain() -> None:
+    """A power of ten above the bar is overlooked."""
+    figure = theme.new_figure(4.0, 3.0)
+    axes = theme.add_axes(figure, 0.5, 0.5, 2.0, 2.0)
+    bar = theme.color_bar(figure, axes.imshow([[1e-3, 6e-3]]), axes, "sigma (mm)")
+    figure.draw_without_rendering()
+    assert bar.ax.yaxis.get_offset_text().get_text() == ""
+    assert "0.002" in [text.get_text() for text in bar.ax.get_yticklabels()]
