@@ -142,7 +142,7 @@ def assess(found: Calibration, recording: Recording) -> dict[str, Any]:
         "touched": int(found.touched.sum()),
         "determined": int(good.sum()),
         "contacts": len(recording.time),
-        "readings": len(recording.pressure),
+        "readings": int(found.readings.sum()),
         "sigma_mm": {"mean": float(sigma.mean()), "max": float(sigma.max())} if good.any() else {},
         "modulus_pa": found.modulus,
         "modulus_sigma_pa": found.modulus_sigma,

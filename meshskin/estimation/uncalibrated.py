@@ -17,7 +17,7 @@ from .uncertainty.verdict import FAIL, Verdict
 
 CIRCULAR = "its contact points were computed from the map that is sought"
 """Reason of every taxel."""
-UNTOUCHED = "it never answered"
+UNTOUCHED = "it never answered while the skin had a single contact"
 """Reason of a taxel without readings."""
 
 

@@ -109,6 +109,8 @@ def next_steps(data: ReportData) -> Sequence[str]:
     """Advice that follows from the numbers, most urgent first."""
     touches = [f"Touch next: {words}." for words in data.metrics.get("next_touches", ())]
     steps = [*touches, *_contacts(data), *_model_errors(data), *_noise(data)]
+    if not data.located.any():  # the verdict says what to record instead
+        return tuple(steps)
     if not np.asarray(data.calibration.observed, dtype=bool)[:, 5].any():
         steps.append(
             "If headings are needed, take them from the known layout of the skin's modules: "

@@ -23,11 +23,12 @@ NAME = "response"
 """Name of the figure's files."""
 TITLE = "Learned response of the taxels"
 CAPTION = (
-    "Left: what a taxel at a distance from the contact point reads at the median force, before the "
-    "compression of strong readings, beside the contact model that it corrects, drawn as high. "
-    "Right: the reading over the level before compression. Bands: ± 2 standard deviations, of the "
-    "scale, too, which the compression shares. A model outside the band does not hold for this "
-    "skin. Taxels of another skin or amplifier have curves of their own."
+    "Left: reading of a taxel against its distance from the contact point, at the median force and "
+    "before the compression of strong readings; the contact model that it corrects is scaled to "
+    "the same height. Right: the reading against the level before compression. Bands: ± 2 standard "
+    "deviations, with that of the scale, which profile and compression share. A contact model "
+    "outside the band does not hold for this skin. Taxels of another skin or amplifier have curves "
+    "of their own."
 )
 NOT_KNOWN = (
     "Not in this response: delays, patches that are not round, and, from raw readings, "

@@ -136,10 +136,14 @@ def log_ticks(
 
 def color_bar(figure: Figure, artist: Any, axes: Axes, label: str) -> Any:
     """A thin colour bar to the right of `axes`."""
+    from matplotlib.ticker import ScalarFormatter
+
     box = axes.get_position()
     w = figure.get_size_inches()[0]
     bar = figure.add_axes((box.x1 + 0.12 / w, box.y0, 0.12 / w, box.height))
     made = figure.colorbar(artist, cax=bar, label=label)
+    if isinstance(made.formatter, ScalarFormatter):
+        made.formatter.set_scientific(False)  # a power of ten above the bar is overlooked
     bar.spines["outline"].set_visible(False)
     return made
 

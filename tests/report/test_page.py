@@ -392,6 +392,15 @@ def test_advice_follows_the_numbers(case: SimpleNamespace) -> None:
     assert "Pass taxel 13 on both sides" in text
 
 
+def test_nothing_is_advised_about_numbers_where_no_taxel_was_located(case: SimpleNamespace) -> None:
+    c = case.calibration()
+    assert "headings" in " ".join(next_steps(ReportData(c)))
+    c.poses[:], c.covariances[:], c.observed[:] = np.nan, np.inf, False
+    text = " ".join(next_steps(ReportData(c)))
+    assert "headings" not in text
+    assert "simulate this body" not in text
+
+
 def test_taxels_that_the_plan_leaves_out_are_not_to_be_passed(case: SimpleNamespace) -> None:
     """No advice to touch what the indenter does not fit: the reason of the plan stands there."""
     observed = np.tile([True] * 5 + [False], (case.COUNT, 1))
