@@ -136,11 +136,23 @@ class InsideOutside:
         rows = np.flatnonzero(self.mixed[face] & far)
         winding[rows] = self._winding.at(points[rows])
         rows = np.flatnonzero(self.mixed[face] & ~far)
-        weight = np.column_stack([1.0 - uv[rows].sum(axis=1), uv[rows]])
-        foot = np.einsum("nk,nkc->nc", weight, self.corners[face[rows]])
-        front = foot + self._winding.outward * self._standoff[face[rows]]
-        winding[rows] = self._winding.at(front) + behind[rows]
+        winding[rows] = self._in_front_at(face[rows], uv[rows]) + behind[rows]
         return self._winding.outward * np.where(winding > 0, -1.0, 1.0)
+
+    def _in_front_at(self, face: Index, uv: Array) -> NDArray[np.int64]:
+        """Winding numbers (n,) in front of the points `uv` (n, 2) of the flat faces (n,)."""
+        weight = np.column_stack([1.0 - uv.sum(axis=1), uv])
+        foot = np.einsum("nk,nkc->nc", weight, self.corners[face])
+        return self._winding.at(foot + self._winding.outward * self._standoff[face])
+
+    def buried(self, face: Index, uv: Array) -> NDArray[np.bool_]:
+        """Whether (n,) a part of the mesh covers the points `uv` (n, 2) of the faces (n,).
+
+        Their fronts are within it. Of a mesh with borders, the faces as a whole: see `level`.
+        """
+        closed = self._winding.closed
+        level = self._in_front_at(face, uv) if closed else self.level[face]
+        return np.asarray(self._winding.outward * level > 0)
 
     @cached_property
     def level(self) -> NDArray[np.int64]:

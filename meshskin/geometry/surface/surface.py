@@ -12,14 +12,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...core.arguments import check_vectors
 from ...core.arrays import Array, Index
 from ...core.errors import MeshError
 from ...core.se3 import orthonormal_basis
 from ..mesh.inside_outside import ON_EDGE, InsideOutside
-from ..mesh.topology import NEXT, PREVIOUS, neighbours
+from ..mesh.topology import NEXT, PREVIOUS, face_components, neighbours
 from ..mesh.triangles import face_normals
 from . import blend, compiled_search, fans, heights, jets, newton, patch
 from .closest_point import Closest, FlatPoints, ReferenceFlat, ReferenceSearch
@@ -115,6 +115,17 @@ class Surface:
         face, corner = face[jump], corner[jump]
         ends = [self.vertices[self.faces[face, (corner + k) % 3]] for k in (1, 2)]
         return np.stack(ends, axis=1)
+
+    @cached_property
+    def parted(self) -> bool:
+        """Whether the mesh has several parts, or passes through itself."""
+        return bool(len(self._crossed) or face_components(self.neighbours).any())
+
+    def buried(self, at: Closest) -> NDArray[np.bool_]:
+        """Whether (n,) another part of the mesh covers the surface at some points."""
+        if not self.parted:
+            return np.zeros(len(at.face), dtype=bool)
+        return self._inside_outside.buried(at.face, at.uv)
 
     @cached_property
     def scale(self) -> float:
