@@ -169,6 +169,36 @@ class Patch:
         return Faces(found)
 
 
+@dataclass(frozen=True)
+class Exposed:
+    """The points of a region that no other part of the body covers."""
+
+    region: Region
+
+    def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
+        """The points of the region that are not covered."""
+        found = np.array(self.region.contains(body, at))
+        found[found] = ~body.surface.buried(at.take(found))
+        return found
+
+    def centre(self, body: Body) -> Closest:
+        """The region's centre, or where that is covered the nearest face centroid that is not."""
+        centre = self.region.centre(body)
+        if self.contains(body, centre)[0]:
+            return centre
+        faces = face_points(body, np.arange(len(body.surface.faces)), 1)
+        faces = faces.take(self.contains(body, faces))
+        if not len(faces.face):
+            return centre
+        away = np.linalg.norm(faces.point - centre.point, axis=1)
+        return faces.take([int(np.argmin(away))])
+
+
+def exposed(body: Body, region: Region) -> Region:
+    """The part of a region that no other part of the body covers."""
+    return Exposed(region) if body.surface.parted else region
+
+
 def _known(name: str, names: list[str]) -> str:
     """The remedy where a name is not among those of the patches of a body."""
     if not names:

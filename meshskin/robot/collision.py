@@ -45,11 +45,6 @@ mount, so that an overestimated link does not forbid all bent wrists. Chosen: a 
 RANDOM_POSTURES = 200
 """Random postures in which the arm is tested for what meets the body in all of them: what is free
 in 2 % of the postures is found with a probability of 98 %."""
-EDGE_COSINE = np.cos(np.deg2rad(20.0))
-"""Cosine of the turn of the surface's normal from which a crease is an edge. Facets of a sphere
-turn by 1.5 to 2.9 degrees with 5,120 faces, by 7 to 11 with 320; edges of solids by 30 or more."""
-EDGE_SAMPLES = (0.1, 0.5, 0.9)
-"""Relative positions along an edge at which its normals are compared."""
 BATCH = 4096
 """Postures tested together, which bounds the memory."""
 CONTACT_SLACK = 1e-3
@@ -111,35 +106,12 @@ def _support_meets(
 
 
 def edge_points(body: Body, spacing: float) -> Array:
-    """Points (k, 3), body frame, at most `spacing`, m, apart on the body's edges and borders.
-
-    At an edge the normal of the smooth surface jumps; a jump of the curvature alone is no edge.
-    """
-    surface = body.surface
-    if surface.smooth:
-        return np.zeros((0, 3))
-    beyond, slot = surface.neighbours.ravel(), surface.slot.ravel()
-    face, corner = np.divmod(np.arange(beyond.size), 3)
-    kept = np.flatnonzero(beyond < face)  # borders, and every inner edge from one side
-    face, corner, beyond, slot = (x[kept] for x in (face, corner, beyond, slot))
-    jump, inner = beyond < 0, np.flatnonzero(beyond >= 0)
-    for part in EDGE_SAMPLES:
-        here = surface.at(face[inner], _along(corner[inner], part)).normal
-        there = surface.at(beyond[inner], _along(slot[inner], 1.0 - part)).normal
-        jump[inner] |= np.sum(here * there, axis=1) < EDGE_COSINE
-    face, corner = face[jump], corner[jump]
-    ends = [surface.vertices[surface.faces[face, (corner + k) % 3]] for k in (1, 2)]
-    count = np.ceil(np.linalg.norm(ends[1] - ends[0], axis=1) / spacing).astype(int) + 1
+    """Points (k, 3), body frame, at most `spacing`, m, apart on the body's edges and borders."""
+    ends = body.surface.edges
+    count = np.ceil(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / spacing).astype(int) + 1
     row = np.repeat(np.arange(len(count)), count)
     part = ranges(np.zeros_like(count), count) / count[row]
-    return np.asarray(ends[0][row] + part[:, None] * (ends[1] - ends[0])[row])
-
-
-def _along(corner: NDArray[np.intp], part: float) -> Array:
-    """Barycentric coordinates (k, 2) at a relative position on the sides opposite corners (k,)."""
-    weight, row = np.zeros((len(corner), 3)), np.arange(len(corner))
-    weight[row, (corner + 1) % 3], weight[row, (corner + 2) % 3] = 1.0 - part, part
-    return weight[:, 1:]
+    return np.asarray(ends[row, 0] + part[:, None] * (ends[row, 1] - ends[row, 0]))
 
 
 def support_samples(indenter: Indenter) -> Array:

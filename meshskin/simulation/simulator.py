@@ -12,7 +12,7 @@ from ..core.arrays import Array
 from ..core.errors import EdgeError, ReachError, SimulationError
 from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
-from ..robot.collision import EDGE_COSINE
+from ..geometry.surface.surface import EDGE_COSINE
 from . import transfer
 from .closed_loop_model import (
     APPROACH_SPEED,

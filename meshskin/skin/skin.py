@@ -164,9 +164,10 @@ class Skin(Value, Card, Tabular):
         With `spacing` (m, mean distance between nearest neighbours) alone the region is filled.
         With `count` alone the spacing follows from the region's area. With both, the `count` sites
         nearest to the region's centre are kept. `region` is the name of one of the body's patches
-        or a region of geometry/region.py, by default the whole surface. `seed` sets the rotation
-        and the offset of the lattice. progress("cover", done, total): called after each of its
-        steps. Raises SkinError where discs would overlap or too few sites fit the region.
+        or a region of geometry/region.py, by default the whole surface; what another part of the
+        body covers is left out. `seed` sets the rotation and the offset of the lattice.
+        progress("cover", done, total): called after each of its steps. Raises SkinError where discs
+        would overlap or too few sites fit the region.
 
         >>> ms.Skin.cover(ms.Body.sphere(radius=0.1), spacing=5e-3, count=60).positions.shape
         (60, 3)
@@ -178,7 +179,7 @@ class Skin(Value, Card, Tabular):
             most = MAX_TAXELS
             count = check_integer("number of taxels", count, least=1, most=most, error=SkinError)
         check_real("disc radius of a taxel", disc_radius, "m", above=0.0, error=SkinError)
-        region = regions.as_region(region)
+        region = regions.exposed(body, regions.as_region(region))
         sites = taxel_layout.sites(body, region, spacing, count, disc_radius, seed, progress)
         rotation = se3.orthonormal_basis(sites.at.normal, sites.tangent)
         return cls(se3.transform(rotation, sites.at.point), np.arange(len(sites)), disc_radius)
@@ -200,7 +201,8 @@ class Skin(Value, Card, Tabular):
         Raises SkinError where modules would overlap on a plane, or where too few fit.
         """
         check_type(Body, body, "the body of a skin")
-        poses = module_layout.module_poses(body, count, spacing, regions.as_region(region), seed)
+        region = regions.exposed(body, regions.as_region(region))
+        poses = module_layout.module_poses(body, count, spacing, region, seed)
         return Modules(poses, np.arange(len(poses)), disc_radius)
 
     @classmethod

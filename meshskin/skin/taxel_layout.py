@@ -93,11 +93,12 @@ def _by_spacing(
     refinements = 0 if count is not None else _refinements(regions.area(body, region), spacing)
     target = spacing / RELAXED_SPACING if refinements else spacing
     for _ in range(1 + RETRIES):
-        if count is None:
-            found = lattice.fill(body, region, target, first, refinements, stage)
-        else:
+        if count is not None:
             margin = round(4.0 * np.sqrt(count))  # two rings, cut off by the caller
             found = lattice.grow(body, region, target, first, count + margin, None, stage)
+        if count is None or len(found) < count:  # the centre may be on a small part of the region
+            found = lattice.fill(body, region, target, first, refinements, stage)
+            found = replace(found, arc_length=np.zeros(len(found)))  # islands: other starts
         if found.spacing()[1] > SCATTER_TOLERANCE:
             found = lattice.relax(body, region, found, target, stage)
         mean, _ = found.spacing()

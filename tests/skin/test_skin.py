@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import KDTree
 
 from meshskin.core.errors import OutputError, SkinError
@@ -242,3 +243,28 @@ def test_a_skin_is_moved_by_rigid_transforms_only(ball, matrix):
     skin = Skin.cover(ball, spacing=5e-3, count=3, region=BOTTOM)
     with pytest.raises(SkinError, match="T_b_a must be a rigid transform"):
         skin.moved(matrix)
+
+
+def test_no_taxel_is_where_two_parts_touch():
+    """A box on a larger one: the faces between them are within the body, and no skin is there."""
+    low = trimesh.creation.box((0.1, 0.1, 0.04)).subdivide_to_size(0.015)
+    high = trimesh.creation.box((0.052, 0.048, 0.04)).subdivide_to_size(0.015)
+    high.apply_translation((0.0, 0.0, 0.04))
+    body = Body.from_mesh(trimesh.util.concatenate([low, high]))
+    skin = Skin.cover(body, spacing=5e-3, seed=1)
+    x, y, z = np.abs(skin.positions - [0.0, 0.0, 0.02]).T
+    assert np.sum(z < 1e-6) > 150
+    assert not ((x < 0.0259) & (y < 0.0239) & (z < 1e-3)).any()
+
+
+def test_a_small_part_at_the_centre_does_not_hold_all_taxels():
+    """The outermost point is on a button: the taxels nearest to it are on the ball, too."""
+    button = trimesh.creation.icosphere(subdivisions=3, radius=0.01)
+    button.apply_translation((0.0, 0.0, 0.115))
+    large = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    body = Body.from_mesh(trimesh.util.concatenate([large, button]))
+    skin = Skin.cover(body, spacing=5e-3, count=120, region=Cap((0.0, 0.0, 1.0)))
+    z = skin.positions[:, 2]
+    assert len(skin) == 120
+    assert 20 < np.sum(z > 0.1001) < 60
+    assert z.min() > 0.08

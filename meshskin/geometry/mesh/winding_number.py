@@ -3,8 +3,9 @@
 Every loop of border edges is closed, so that winding numbers are integers, 1 inside and 0 outside:
 that of a mesh that encloses a volume by triangles about the mean of the loop, that of a sheet at
 infinity, extruded along a ray against the area that it bounds. (Extruded, the border of one panel
-of a link ran through the other panels, whose fronts were then inside.) A mesh whose normals point
-inward counts as if it were inverted.
+of a link ran through the other panels, whose fronts were then inside.) Borders can also be left
+open: the sum of the solid angles is then rounded, to 0 or more. A mesh whose normals point inward
+counts as if it were inverted.
 
 Source: Barill, Dickson, Schmidt, Levin, Jacobson, "Fast winding numbers for soups and clouds", ACM
 Trans. Graphics 37 (2018). libigl has it, in C++; it takes triangle soups without closing borders.
@@ -31,6 +32,9 @@ FAR_RADII = 3.0
 is then within 0.02 of the integer (tests/geometry/mesh/test_inside_outside.py)"""
 INTEGER_TOLERANCE = 0.2
 """distance of that sum from an integer beyond which all triangles are summed instead"""
+OPEN_TOLERANCE = 0.48
+"""the same where borders are left open, and the sum need not be near an integer: the error of the
+clusters below a half"""
 SHEET_VOLUME = 0.02
 """volume over area^1.5 up to which a mesh with borders is a sheet, which encloses nothing and keeps
 its orientation; that of a ball is 0.094"""
@@ -39,9 +43,12 @@ CHUNK = 1_000_000
 
 
 class WindingNumber:
-    """Winding numbers of points about a mesh (vertices (n, 3) m, faces (m, 3))."""
+    """Winding numbers of points about a mesh (vertices (n, 3) m, faces (m, 3)).
 
-    def __init__(self, vertices: Array, faces: Index) -> None:
+    close: whether loops of border edges are closed.
+    """
+
+    def __init__(self, vertices: Array, faces: Index, close: bool = True) -> None:
         self.border, self.direction, caps = _border(vertices, faces)
         self.closed = not len(self.border)
         """whether there is no border"""
@@ -52,9 +59,11 @@ class WindingNumber:
         least = 0.0 if self.closed else SHEET_VOLUME * area**1.5
         self.outward = -1 if volume < -least else 1
         """-1 where the normals of the mesh point inward"""
-        if abs(volume) > least:
+        self._tolerance = INTEGER_TOLERANCE if close else OPEN_TOLERANCE
+        self._least = -np.inf if close else 0.0
+        if abs(volume) > least or not close:
             self.border, self.direction = np.zeros((0, 2, 3)), np.zeros((0, 3))
-        else:
+        if abs(volume) <= least or not close:
             triangles = vertices[faces]
         self.corners = np.ascontiguousarray(triangles[:, :: self.outward])
         self._nodes, self._leaves = _tree(self.corners)
@@ -63,11 +72,12 @@ class WindingNumber:
         """The winding numbers (n,) of points (n, 3), m."""
         built = library()
         if built is None:
-            return np.asarray(np.round(self._exact(points)), dtype=np.int64)
-        total = self._by_clusters(built, points)
-        unsure = np.flatnonzero(np.abs(total - np.round(total)) > INTEGER_TOLERANCE)
-        total[unsure] = self._exact(points[unsure])
-        return np.asarray(np.round(total), dtype=np.int64)
+            total = self._exact(points)
+        else:
+            total = self._by_clusters(built, points)
+            unsure = np.flatnonzero(np.abs(total - np.round(total)) > self._tolerance)
+            total[unsure] = self._exact(points[unsure])
+        return np.asarray(np.maximum(np.round(total), self._least), dtype=np.int64)
 
     def _by_clusters(self, built: ctypes.CDLL, points: Array) -> Array:
         p, out = np.ascontiguousarray(points, dtype=float), np.empty(len(points))

@@ -166,6 +166,20 @@ def test_panels_of_a_link_do_not_put_each_other_inside(tmp_path, turned):
     assert wrong(body, points, inside != turned) == 0
 
 
+def test_a_flange_does_not_put_the_tube_inside(tmp_path):
+    """The flange's border, closed at infinity, swallowed the tube: most fronts were inside."""
+    tube = trimesh.creation.annulus(0.048, 0.05, 0.2).subdivide_to_size(0.02)
+    flange = trimesh.creation.annulus(0.049, 0.07, 0.01, sections=40).subdivide_to_size(0.02)
+    flange.update_faces(flange.triangles_center[:, 2] > 0.0049)  # its upper side alone
+    flange.apply_translation((0.0, 0.0, 0.09))
+    body = loaded(trimesh.util.concatenate([tube, flange]), tmp_path)
+    assert len(body.crossed)
+    angle, z = np.random.default_rng(0).uniform([-np.pi, -0.08], [np.pi, 0.05], (500, 2)).T
+    for r, inside in ((0.047, False), (0.049, True), (0.051, False), (0.07, False)):
+        points = np.column_stack([r * np.cos(angle), r * np.sin(angle), z])
+        np.testing.assert_array_equal(body.closest(points).distance < 0.0, inside)
+
+
 def test_every_soup_is_closed_to_whole_turns():
     """Triangles dropped and turned at random, edges of several faces: whole numbers still."""
     rng = np.random.default_rng(0)

@@ -13,7 +13,7 @@ from meshskin.geometry import primitives
 from meshskin.geometry.body import Body
 from meshskin.geometry.mesh.topology import neighbours
 from meshskin.geometry.mesh.triangles import closest_on_triangles
-from meshskin.geometry.surface.surface import Surface
+from meshskin.geometry.surface.surface import Facets, Surface
 
 from ...real_data import DATA, needs_ur3e
 
@@ -390,3 +390,22 @@ def test_the_degree_is_a_choice():
         off.append(np.abs(body.closest(points).distance - 0.01).max())
     assert off[1] == pytest.approx(off[0], rel=0.5)
     assert off[0] > 20 * off[2] > 0
+
+
+def test_edges_are_found_once_and_are_the_rims_of_a_cylinder():
+    surface = Body.cylinder(0.05, 0.2).surface
+    edges = surface.edges
+    np.testing.assert_allclose(np.abs(edges[..., 2]), 0.1)
+    np.testing.assert_allclose(np.hypot(edges[..., 0], edges[..., 1]), 0.05)
+    length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum()
+    assert length == pytest.approx(4.0 * np.pi * 0.05, rel=0.01)
+    assert surface.edges is edges
+    assert not len(Body.capsule(0.05, 0.2).surface.edges)
+
+
+def test_facets_without_area_have_no_normal():
+    vertices = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [2.0, 0.0, 0.0]])
+    facets = Facets(trimesh.Trimesh(vertices, [[0, 1, 2], [0, 1, 3]], process=False))
+    point, normal = facets.closest(np.array([[0.2, 0.2, 0.1], [1.8, 0.0, 0.1]]))
+    np.testing.assert_allclose(point, [[0.2, 0.2, 0.0], [1.8, 0.0, 0.0]], atol=1e-12)
+    np.testing.assert_array_equal(normal, [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
