@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.arguments import check_array, check_real, check_type, check_vector
-from ...core.arrays import Array, Index
+from ...core.arrays import Array, Index, spread_rows
 from ...core.errors import CalibrationError
 from ...core.progress import Progress, Stage
 from ...core.provenance import random_stream
@@ -136,8 +136,7 @@ def layout(
     or a seed of another type.
     """
     levels = distinct_levels(frames)
-    n = levels.shape[1]
-    numbers = _checked_ids(ids, n)
+    numbers = _checked_ids(ids, levels.shape[1])
     known = _known(numbers, spacing, touch_radius, module_slots)
     _check_combination(known, tiled, body)
     middles = _middles(body, centre)
@@ -161,9 +160,8 @@ def layout(
     seldom = ~np.isfinite(drawn)
     reasons[rows[seldom]] = SELDOM
     keep = rows[~seldom]
-    positions, sigma = np.full((n, points.shape[1]), np.nan), np.full(n, np.nan)
-    positions[keep] = points[~seldom]
-    sigma[keep] = np.hypot(drawn, departure)[~seldom]
+    positions = spread_rows(points[~seldom], keep, len(numbers), np.nan)
+    sigma = spread_rows(np.hypot(drawn, departure)[~seldom], keep, len(numbers), np.nan)
     stage.end()
     unit_name = "m" if scaled else "spacings"
     return Layout(numbers, positions, sigma, reasons, unit_name, gauge, factors, error)
