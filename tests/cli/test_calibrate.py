@@ -4,14 +4,17 @@ import argparse
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 import meshskin as ms
 from meshskin import cli
 from meshskin.cli import belief_options, calibrate
 from meshskin.core.errors import ConfigError, MeshError
+from meshskin.estimation.uncalibrated import uncalibrated
 from meshskin.scene.schema import body_table
 
 
@@ -265,3 +268,15 @@ def test_held_out_contacts(log, tmp_path, capsys):
     assert cli.main(["report", str(out)]) == 0
     assert "left out" not in capsys.readouterr().out
     assert "Held-out contacts" in (out / "report.html").read_text()
+
+
+def test_readings_of_silent_taxels_are_not_counted(scene):
+    """A dense table has a row for every taxel in every frame."""
+    pressed = ms.press(scene, scene.skin.positions[:5], seed=1)
+    rows, ids = np.meshgrid(pressed.time, scene.skin.ids, indexing="ij")
+    dense = np.zeros(rows.shape)
+    dense[pressed.reading_contact, np.searchsorted(scene.skin.ids, pressed.reading_taxel)] = 5e3
+    columns = [rows.ravel(), ids.ravel().astype(np.int32), dense.ravel()]
+    recording = replace(pressed, readings=pa.table(columns, schema=pressed.readings.schema))
+    metrics = calibrate.assess(uncalibrated(recording, scene.belief()), recording)
+    assert metrics["readings"] == len(pressed.pressure) < len(recording.pressure)
