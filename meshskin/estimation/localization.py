@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.arrays import Array, means_by_group, sums_by_group
-from .data.global_parameters import MOTION, MOVES, PRIORS, SIZES, WARMING
+from .data.global_parameters import MOTION, MOVES, PRIORS
 from .data.measurements import Measurements
 from .data.pairs import near_pairs
 from .data.resolve_belief import contact_model
@@ -22,14 +22,13 @@ from .joint.contact_state import Contacts
 from .joint.contacts import LinearizedContacts
 from .joint.deviations import Deviations
 from .joint.known_past import KnownPast
-from .joint.learned import with_learned_response
+from .joint.learned import as_learned
 from .joint.likelihood import Likelihood
 from .joint.pressure import CENSORED, OBSERVED, SATURATED, costs
 from .joint.readings import Readings
 
 if TYPE_CHECKING:
     from .calibration import Calibration
-    from .result import LearnedResponse
 
 Pairs = tuple[np.ndarray, np.ndarray, Array, np.ndarray]
 """Contact, taxel, level and kind of readings."""
@@ -88,7 +87,7 @@ class CalibratedSkin:
         noise = found / data.sigma if np.isfinite(found) and found > 0 else 1.0
         deviations = Deviations(noise, position=0.0, force=0.0)
         if (response := calibration.response) is not None:
-            data = _as_learned(calibration, response, data)
+            data = as_learned(data, response, calibration.unknowns, calibration.positions)
             deviations = Deviations(
                 response.noise / (data.sigma * data.unit),
                 response.noise_relative,
@@ -285,31 +284,6 @@ class CalibratedSkin:
             quadratic = off[part] @ np.linalg.solve(covariance, off[part])
             out[k] = -(quadratic + np.linalg.slogdet(2 * np.pi * covariance)[1]) / 2
         return out - count * np.log(data.sigma * data.unit), count
-
-
-def _as_learned(
-    calibration: Calibration, response: LearnedResponse, data: Measurements
-) -> Measurements:
-    """The measurements under the response that a calibration learned, in its unit."""
-    scale = data.unit / response.unit
-    estimated = {label.split()[0] for label in calibration.unknowns}
-    for name in estimated & {"hysteresis", "creep", *WARMING} - set(data.parameters.names):
-        p, more = data.parameters, np.full(SIZES[name], PRIORS[name])
-        p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, more))
-        data = replace(data, parameters=p)
-    groups = tuple(other.taxels for other in response.others)
-    data = replace(data, belief=replace(data.belief, response_groups=groups))
-    data = replace(data.referred_to(response.references), learned=True)
-    return replace(
-        with_learned_response(data, calibration.positions),
-        profile_extent=response.extent,
-        response_levels=response.levels,
-        pressure=data.pressure * scale,
-        threshold=data.threshold * scale,
-        saturation=data.saturation * scale,
-        ends=data.ends * scale,
-        unit=response.unit,
-    )
 
 
 def _with_taxel_unknowns(

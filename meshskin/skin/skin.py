@@ -217,9 +217,7 @@ class Skin(Value, Card, Tabular):
         Raises SkinError.
         """
         if units not in UNITS:
-            raise SkinError(
-                "unknown unit of a skin file", value=repr(units), limit=f"one of {[*UNITS]}"
-            )
+            raise SkinError("unknown unit", value=repr(units), limit=f"one of {[*UNITS]}")
         table = files.read(Path(path), part)
         table = table.take(table.is_taxel())
         table = replace(table, positions=UNITS[units] * table.positions)
@@ -335,8 +333,7 @@ class Modules(Value):
         numbers = np.unique(slots.module(skin.ids))
         if not slots.is_modular(skin.ids):
             raise SkinError(
-                "the skin does not consist of modules with ten taxels",
-                limit="ids of the form 12 * module + slot",
+                "the skin does not consist of modules with ten taxels", limit="12 * module + slot"
             )
         order = np.argsort(skin.ids)
         points = skin.positions[order].reshape(len(numbers), len(slots.TAXELS), 3)

@@ -14,11 +14,17 @@ from ...scene.belief import RAW
 from . import unit_checks
 from .delay import without_delay
 from .global_parameters import declared_parameters
-from .measurements import Measurements, nominal_patches
+from .measurements import Measurements
 from .patch_shape import in_hollows, over_edges, over_patches
 from .raw_readings import check_pressures, nominal_pressure, pressures_above_rest
 from .registration import registered
-from .resolve_belief import MAX_INVALID, contact_model, resolve_belief, valid_contacts
+from .resolve_belief import (
+    MAX_INVALID,
+    contact_model,
+    nominal_patches,
+    resolve_belief,
+    valid_contacts,
+)
 from .sensor_range import check_answered, check_disc, common_end, constant_taxels, ends_of_range
 
 if TYPE_CHECKING:

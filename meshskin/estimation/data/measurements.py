@@ -13,6 +13,7 @@ from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
 from .patch_shape import over_patches, unevenness
+from .resolve_belief import nominal_patches
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -343,15 +344,3 @@ class Measurements:
         a = self.radii[self.contact]
         slope = disc_slope(self.distance / a, self.disc / a)
         return np.abs(slope) * self.peaks[self.contact] / a
-
-
-def nominal_patches(
-    model: contact.ContactModel, belief: Belief, force: Array, curvature: Array
-) -> contact.Patches:
-    """Patches of forces (m,), N, at curvatures (m, 2), 1/m, and the nominal E*."""
-    return model.patches(
-        force=force,
-        curvature=curvature,
-        indenter_radius=belief.indenter.radius,
-        effective_modulus=belief.material.effective_modulus,
-    )

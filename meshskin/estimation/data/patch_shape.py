@@ -58,8 +58,8 @@ jumps (0.044 where the caps of bodies/capsule.toml begin) or changes (0.002 on i
 contact models themselves hold to some percent of the peak (layered.py)."""
 EDGE_ERROR = 1 / 3
 """Rms error of a contact model's readings in contacts over an edge, relative to the unevenness:
-0.26 to 0.33 for thin layers on link meshes, where overlap makes the pressure, as in test_edges.py;
-0.16 to 0.25 in simulated recordings."""
+0.26 to 0.33 for thin layers on link meshes, 0.19 for the prism of test_edges.py (residuals, which
+taxels follow), 0.16 to 0.25 in simulated recordings."""
 MAX_EDGES = 0.9
 """Largest part of the contacts over edges: residuals of the others, some ten of a usual recording
 at least, tell of noise and model."""

@@ -14,8 +14,7 @@ import numpy as np
 
 from ...core.arrays import Array, robust_sigma, sums_by_group
 from ...core.errors import CalibrationError
-from .measurements import nominal_patches
-from .resolve_belief import contact_model
+from .resolve_belief import contact_model, nominal_patches
 from .sensor_range import constant_taxels
 
 if TYPE_CHECKING:

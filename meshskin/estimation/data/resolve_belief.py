@@ -107,3 +107,15 @@ def valid_contacts(force: Array, curvature: Array, belief: Belief) -> np.ndarray
             thickness=material.thickness,
         )
     return valid
+
+
+def nominal_patches(
+    model: contact.ContactModel, belief: Belief, force: Array, curvature: Array
+) -> contact.Patches:
+    """Patches of forces (m,), N, at curvatures (m, 2), 1/m, and the nominal E*."""
+    return model.patches(
+        force=force,
+        curvature=curvature,
+        indenter_radius=belief.indenter.radius,
+        effective_modulus=belief.material.effective_modulus,
+    )

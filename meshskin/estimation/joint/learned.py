@@ -12,6 +12,7 @@ holds, the estimate is the model's.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -21,10 +22,18 @@ from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ...core.progress import Stage
 from .. import chart
-from ..data.global_parameters import ELECTRONICS, LEARNED, LEARNED_PRIORS, declared_parameters
+from ..data.global_parameters import (
+    ELECTRONICS,
+    LEARNED,
+    LEARNED_PRIORS,
+    PRIORS,
+    SIZES,
+    WARMING,
+    declared_parameters,
+)  # fmt: skip
 from ..data.measurements import Measurements
 from ..posegraph.symmetric_blocks import SingularMatrixError
-from ..result import EstimatorResult
+from ..result import EstimatorResult, LearnedResponse
 from ..trilateration import coactivation, trilaterate
 from . import fault_detection
 from .contacts import LinearizedContacts
@@ -173,6 +182,35 @@ def with_learned_response(data: Measurements, points: Array) -> Measurements:
     if belief.threshold == 0 and len(data.pressure):  # the least reading tells
         belief = replace(belief, threshold=float(data.pressure.min()) * (1 - 1e-9))
     return replace(data, belief=belief, parameters=parameters, noise=sigma, profile_extent=extent)
+
+
+def as_learned(
+    data: Measurements,
+    response: LearnedResponse,
+    unknowns: Mapping[str, tuple[float, float]],
+    positions: Array,
+) -> Measurements:
+    """The measurements under a response that a calibration learned, in its unit; unknowns and
+    positions (n, 3), m: of that calibration."""
+    scale = data.unit / response.unit
+    estimated = {label.split()[0] for label in unknowns}
+    for name in estimated & {"hysteresis", "creep", *WARMING} - set(data.parameters.names):
+        p, more = data.parameters, np.full(SIZES[name], PRIORS[name])
+        p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, more))
+        data = replace(data, parameters=p)
+    groups = tuple(other.taxels for other in response.others)
+    data = replace(data, belief=replace(data.belief, response_groups=groups))
+    data = replace(data.referred_to(response.references), learned=True)
+    return replace(
+        with_learned_response(data, positions),
+        profile_extent=response.extent,
+        response_levels=response.levels,
+        pressure=data.pressure * scale,
+        threshold=data.threshold * scale,
+        saturation=data.saturation * scale,
+        ends=data.ends * scale,
+        unit=response.unit,
+    )
 
 
 def _begin(

@@ -23,7 +23,6 @@ from ...core.progress import Stage
 from .. import chart
 from ..data.global_parameters import RADIUS_TOLERANCE, radius_deviation
 from ..data.measurements import Measurements
-from ..data.patch_shape import MAX_EDGES
 from ..result import (
     CENSORING,
     MOSTLY_OUTLIERS,
@@ -33,8 +32,8 @@ from ..result import (
     name_rivals,
 )  # fmt: skip
 from ..trilateration import coactivation, trilaterate
-from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
-from .fault_detection import even, outliers, stuck_taxels
+from ..uncertainty.goodness_of_fit import GoodnessOfFit
+from .fault_detection import stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .likelihood_widths import widened
 from .model_departures import ModelDepartures
@@ -44,15 +43,12 @@ from .module_parametrization import (
     ModuleParametrization,
     align_modules,
 )
-from .noise import Noise, clear_of_limits, estimate_noise, predictions, with_estimated_noise
+from .noise import scale_and_fit, with_estimated_noise
 from .null_space import undetermined, undetermined_motion
 from .outlier_rejection import reject_outliers, without_misfitting_contacts
 from .parametrization import Parametrization, SurfaceParametrization
-from .pressure import OBSERVED
-from .readings import Readings
 from .reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .rival_optima import RivalOptima, resolve_rivals
-from .variable_projection import SchurComplement
 
 UNCONVERGED = "its position does not converge"
 """Reason of a taxel that is not determined though its trilateration is."""
@@ -184,7 +180,7 @@ def _result(
     problem.contacts.check(state.s)
     parameters, parametrization = data.parameters, problem.parametrization
     reduced = problem.reduce(state)
-    scale, fit = _scale_and_fit(estimator, reduced)
+    scale, fit = scale_and_fit(estimator, reduced)
     found = ModelDepartures.of(estimator, fit)
 
     def spread(values: Array, missing: object) -> Array:
@@ -290,17 +286,6 @@ def _modulus(estimator: JointEstimator, covariance: Array) -> tuple[float, float
     return modulus, modulus * float(np.hypot(own, by_radius))
 
 
-def _variance(readings: Readings, r: Array, kept: Array) -> float:
-    """Variance of the residuals r (k,), each of which has the part kept (k,) of it, of observed
-    readings that tell of the noise; where few do, that of all, and at least the nominal one."""
-    observed = readings.kind == OBSERVED
-    counted = observed & even(readings)
-    few = kept[counted].sum() < (1 - MAX_EDGES) * kept[observed].sum()
-    counted = observed if few else counted
-    square = float(readings.weight[counted] @ r[counted] ** 2)
-    return max(square / max(float(kept[counted].sum()), 1.0), 1.0 if few else 0.0)
-
-
 def _factors(data: Measurements, fit: GoodnessOfFit) -> list[str]:
     """What the readings and the contacts that are used have in the estimate, in words."""
     factors = ["pressure of each reading"]
@@ -324,39 +309,3 @@ def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:
     apart = np.nan_to_num(means - parametrization.points())
     square = chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
     return np.asarray((1 - 1 / fit.reduced) * square)
-
-
-def _scale_and_fit(
-    estimator: JointEstimator, reduced: SchurComplement
-) -> tuple[float, GoodnessOfFit]:
-    """The factor of the covariances, and the test of fit.
-
-    The factor is 1 where the noise is known, else the variance of the residuals; or what the test
-    shows where it fails. Each residual has the variance 1 less the leverage of its reading. The
-    test uses readings that the model predicts well inside the sensor's range; that choice does not
-    depend on the reading, so that the residuals are not censored.
-    """
-    data, problem, state = estimator.data, estimator.problem, estimator.state
-    readings, r = estimator.likelihood.readings, estimator.residuals()
-    kept = readings.weight - problem.leverages(state, reduced)
-    known = data.noise is not None and not data.noise_pairs
-    noise = Noise(1.0, 0) if known else estimate_noise(estimator, reduced)
-    clear = clear_of_limits(predictions(readings, r, data), data, noise.scale)
-    clear &= even(readings) & ~estimator.broken[readings.taxel]
-    square, freedom = float(readings.weight[clear] @ r[clear] ** 2), float(np.sum(kept[clear]))
-    fit = goodness_of_fit(
-        chi2=square / noise.scale**2,
-        freedom=freedom,
-        noise_known=known,
-        outlying=int(np.sum(outliers(readings))),
-        pairs=noise.pairs,
-    )
-    fit = replace(fit, noise=noise.scale * data.sigma, pairs=noise.pairs)
-    scale = 1.0 if known else noise.scale**2
-    if data.noise is None:
-        scale = _variance(readings, r, kept)
-    elif not known and freedom > 0:
-        scale = square / freedom
-    if fit.good is False:
-        scale = max(scale, fit.reduced * noise.scale**2)
-    return scale, fit

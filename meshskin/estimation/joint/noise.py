@@ -1,4 +1,4 @@
-"""The noise of the readings, estimated from the residuals of neighbouring contacts.
+"""The noise of the readings, estimated from the residuals of neighbouring contacts, and the fit.
 
 Errors of the model differ little between neighbouring contacts, so that half the mean square of the
 differences of a taxel's residuals there is the variance of the noise. Readings that noise may have
@@ -19,7 +19,8 @@ import numpy as np
 from ...core.arrays import Array
 from ..data.measurements import NOMINAL_NOISE, Measurements
 from ..data.pairs import SILENT_SIGMAS, silent_pairs
-from ..uncertainty.goodness_of_fit import MIN_PAIRS
+from ..data.patch_shape import MAX_EDGES
+from ..uncertainty.goodness_of_fit import MIN_PAIRS, GoodnessOfFit, goodness_of_fit
 from .fault_detection import MIN_SCALE, even, outliers
 from .joint_estimator import JointEstimator
 from .pressure import CENSORED, OBSERVED
@@ -152,3 +153,50 @@ def neighbours(
         (rows[mutual], rows[other[mutual]]),
         (rows[:-1][in_time], rows[1:][in_time]),
     ]
+
+
+def residual_variance(readings: Readings, r: Array, kept: Array) -> float:
+    """Variance of the residuals r (k,), each of which has the part kept (k,) of it, of observed
+    readings that tell of the noise; where few do, that of all, and at least the nominal one."""
+    observed = readings.kind == OBSERVED
+    counted = observed & even(readings)
+    few = kept[counted].sum() < (1 - MAX_EDGES) * kept[observed].sum()
+    counted = observed if few else counted
+    square = float(readings.weight[counted] @ r[counted] ** 2)
+    return max(square / max(float(kept[counted].sum()), 1.0), 1.0 if few else 0.0)
+
+
+def scale_and_fit(
+    estimator: JointEstimator, reduced: SchurComplement
+) -> tuple[float, GoodnessOfFit]:
+    """The factor of the covariances, and the test of fit.
+
+    The factor is 1 where the noise is known, else the variance of the residuals; or what the test
+    shows where it fails. Each residual has the variance 1 less the leverage of its reading. The
+    test uses readings that the model predicts well inside the sensor's range; that choice does not
+    depend on the reading, so that the residuals are not censored.
+    """
+    data, problem, state = estimator.data, estimator.problem, estimator.state
+    readings, r = estimator.likelihood.readings, estimator.residuals()
+    kept = readings.weight - problem.leverages(state, reduced)
+    known = data.noise is not None and not data.noise_pairs
+    noise = Noise(1.0, 0) if known else estimate_noise(estimator, reduced)
+    clear = clear_of_limits(predictions(readings, r, data), data, noise.scale)
+    clear &= even(readings) & ~estimator.broken[readings.taxel]
+    square, freedom = float(readings.weight[clear] @ r[clear] ** 2), float(np.sum(kept[clear]))
+    fit = goodness_of_fit(
+        chi2=square / noise.scale**2,
+        freedom=freedom,
+        noise_known=known,
+        outlying=int(np.sum(outliers(readings))),
+        pairs=noise.pairs,
+    )
+    fit = replace(fit, noise=noise.scale * data.sigma, pairs=noise.pairs)
+    scale = 1.0 if known else noise.scale**2
+    if data.noise is None:
+        scale = residual_variance(readings, r, kept)
+    elif not known and freedom > 0:
+        scale = square / freedom
+    if fit.good is False:
+        scale = max(scale, fit.reduced * noise.scale**2)
+    return scale, fit

@@ -77,14 +77,9 @@ class RandomEffects:
     """An estimate with random effects in progress."""
 
     def __init__(
-        self,
-        data: Measurements,
-        readings: Readings,
-        unknowns: Unknowns,
-        deviations: Deviations,
-        pattern: CouplingPattern | None = None,
-        stage: Stage | None = None,
-    ) -> None:
+        self, data: Measurements, readings: Readings, unknowns: Unknowns, deviations: Deviations,
+        pattern: CouplingPattern | None = None, stage: Stage | None = None,
+    ) -> None:  # fmt: skip
         """data: with a learned profile, gains and offsets among its parameters; pattern: of the
         readings, if it is known; stage: its steps are those of Gauss and Newton."""
         self.data, self.readings, self.stage = data, readings, stage or Stage()

@@ -18,9 +18,9 @@ from ..calibration import Calibration
 from ..data import unit_checks
 from ..data.gather import taxel_rows
 from ..data.global_parameters import declared_parameters
-from ..data.measurements import NOMINAL_NOISE, Measurements, nominal_patches
+from ..data.measurements import NOMINAL_NOISE, Measurements
 from ..data.patch_shape import over_edges
-from ..data.resolve_belief import contact_model, resolve_belief
+from ..data.resolve_belief import contact_model, nominal_patches, resolve_belief
 
 
 @dataclass(frozen=True, eq=False)

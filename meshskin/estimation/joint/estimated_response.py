@@ -1,0 +1,122 @@
+"""The response that an estimate learned, in the terms of `LearnedResponse`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...contact.learned import ProfileCorrection
+from ...core.arrays import Array
+from ..result import LearnedResponse
+from .contact_correlations import AlikeErrors, neighbour_correlation
+from .creep import TIME
+from .electronics import WIDTH
+from .pressure import disc_means
+from .random_effects import RandomEffects
+
+SAMPLES = 60
+"""Distances at which the profile is stated, and levels of the response."""
+
+
+def learned_response(
+    effects: RandomEffects, covariance: Array, alike: AlikeErrors
+) -> LearnedResponse:
+    """The learned responses of all groups of taxels, the first one's with the others in it;
+    covariance (ks, ks): of the global parameters; alike: errors that contacts share."""
+    data, s = effects.data, effects.unknowns.s
+    nominal = data.nominal_peak * data.unit
+    first, *others = (_curves(effects, covariance, g) for g in range(data.parameters.groups))
+    found = LearnedResponse(
+        **first,
+        contact_scatter=effects.deviations.position,
+        contact_correlation=neighbour_correlation(effects),
+        force_scatter=effects.deviations.force,
+        alike_contacts=alike.factor,
+        alike_parts=alike.parts,
+        noise=effects.deviations.noise * data.sigma * data.unit,
+        noise_relative=effects.deviations.relative,
+        extent=data.profile_extent,
+        levels=data.response_levels,
+        unit=data.unit,
+        hysteresis=_hysteresis(effects),
+        crosstalk=data.parameters.value("crosstalk", s),
+        leaking=1.0 if data.leaks is None else float(data.leaks.weight.mean()),
+        drift=_drift(effects),
+        creep=_creep(effects),
+        gain_drift=float(np.expm1(_common_drift(effects, "gain_drift"))),
+        offset_drift=_common_drift(effects, "offset_drift") * nominal,
+        contact=data.model.name,
+        references=(
+            data.belief.force_reference or 1.0,
+            data.typical_curvature,
+            data.nominal_peak,
+            data.modulus,
+        ),
+    )
+    return replace(found, others=tuple(replace(found, **curves) for curves in others))
+
+
+def _curves(effects: RandomEffects, covariance: Array, group: int) -> dict[str, Any]:
+    """The learned profile of a group beside the model's, and its response to levels, by their names
+    in LearnedResponse; covariance (ks, ks): of the global parameters."""
+    data, s = effects.data, effects.unknowns.s
+    columns = data.parameters.columns_of(group)
+    middle = int(np.argsort(data.force)[len(data.force) // 2])
+    contacts = effects.linearized.at(s).each[group]
+    rows = np.full(SAMPLES, middle)
+    radius = float(contacts.patches.first[middle])
+    u = np.linspace(0.0, data.profile_extent, SAMPLES)
+    offset = (u * radius)[:, None] * contacts.directions[rows]
+    model = disc_means(data.model.name, offset, rows, contacts, data.disc)[0]
+    basis, correction, _ = ProfileCorrection(data.profile_extent)(u, s[columns["profile"]])
+    peak = float(contacts.peaks[middle]) * data.unit
+    at, c = columns["profile"], columns["compression"].start
+    band = np.sqrt(np.einsum("ki,ij,kj->k", basis, covariance[at, at], basis))
+    level = np.linspace(0.0, peak * float(np.max(model + correction)), SAMPLES)  # that occur
+    nominal, own = data.nominal_peak * data.unit, data.parameters.groups > 1
+    return {
+        "distance": u * radius,
+        "profile": peak * (model + correction),
+        "profile_sigma": peak * band,
+        "model": peak * model,
+        "level": level,
+        "reading": level / (1 + s[c] * level / nominal),
+        "reading_sigma": level**2 / nominal * float(np.sqrt(covariance[c, c])),
+        "coefficients": s[at],
+        "taxels": np.sort(data.ids[data.groups == group])[: own * len(data.ids)],
+    }
+
+
+def _hysteresis(effects: RandomEffects) -> tuple[float, float]:
+    """Share of the play operator, and its half-width relative to the nominal peak."""
+    columns = effects.data.parameters.columns
+    if "hysteresis" not in columns:
+        return 0.0, 0.0
+    share, log_width = effects.unknowns.s[columns["hysteresis"]]
+    return float(share), WIDTH * float(np.exp(log_width))
+
+
+def _creep(effects: RandomEffects) -> tuple[float, float]:
+    """Share of creep, and its time constant, s."""
+    columns = effects.data.parameters.columns
+    if "creep" not in columns:
+        return 0.0, 0.0
+    share, log_time, _ = effects.unknowns.s[columns["creep"]]
+    return float(share), TIME * float(np.exp(log_time))
+
+
+def _common_drift(effects: RandomEffects, name: str) -> float:
+    """Largest change during the recording of the drift `name` of all taxels."""
+    columns = effects.data.parameters.columns
+    if name not in columns:
+        return 0.0
+    return float(np.ptp(effects.data.drifts @ effects.unknowns.s[columns[name]]))
+
+
+def _drift(effects: RandomEffects) -> float:
+    """Standard deviation of the offsets' drift, in the unit of the readings."""
+    if "drift" not in effects.data.parameters.nuisance_names:
+        return 0.0
+    return effects.deviations.drift * effects.data.sigma * effects.data.unit
