@@ -133,9 +133,9 @@ def test_taxels_beside_an_edge_under_a_contact_model(belief, contact):
     assert found.position_sigma[far & placed].max() < 0.1e-3
 
 
-@pytest.mark.parametrize("method", ["trilateration", "posegraph"])
-def test_other_methods_beside_an_edge(belief, method):
-    found = ms.calibrate(recording(1), contact_model(belief, "elliptic"), method=method)
+def test_trilateration_beside_an_edge(belief):
+    believed = contact_model(belief, "elliptic")
+    found = ms.calibrate(recording(1), believed, method="trilateration")
     off = np.linalg.norm(found.positions - on_prism(ARC, HEIGHT)[0], axis=1)
     placed = np.isfinite(off)
     assert (off[placed] / found.position_sigma[placed]).max() < 5.0
@@ -154,7 +154,7 @@ def narrow(recording, width):
 
 
 def test_contacts_mostly_over_an_edge_test_no_contact_model(belief):
-    near = narrow(recording(1), 4e-3)
+    near = narrow(recording(1), 3e-3)
     believed = ms.calibrate(near, contact_model(belief, "elliptic"))
     assert believed.verdict.level == "DOUBT"
     assert any("over edges of the body" in words for words in believed.verdict.reasons)
