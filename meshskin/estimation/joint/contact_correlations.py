@@ -222,4 +222,4 @@ def _rings(points: Array, far: float) -> Rings:
 def _products(rings: Rings, values: Array) -> Array:
     """Mean products (RINGS + 1, c) of values (n, c) over the pairs of each ring."""
     first, second, means = rings
-    return np.asarray(means @ (values[first] * values[second]))
+    return np.stack([means @ (v[first] * v[second]) for v in values.T], axis=1)

@@ -134,8 +134,10 @@ class FittedReadings:
     def moved(self, directions: Array) -> Array:
         """Derivatives (k, q) of the readings in displacements of the contacts along `directions`
         (m, 3, q), body frame."""
-        moved = directions[self.readings.contact]
-        return -np.einsum("kai,ka->ki", moved, self._gradient)
+        contact, found = self.readings.contact, np.zeros((len(self.mu), directions.shape[2]))
+        for axis in range(3):  # one by one: all need three times the memory
+            found -= directions[contact, axis] * self._gradient[:, axis, None]
+        return found
 
     @cached_property
     def _gradient(self) -> Array:
