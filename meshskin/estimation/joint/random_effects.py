@@ -168,6 +168,9 @@ class RandomEffects:
 
     def fitted(self) -> FittedReadings:
         """The readings at the present values."""
+        return self._once(self._fitted)
+
+    def _fitted(self) -> FittedReadings:
         _, rate, curvature = self._once(self._costs)
         return FittedReadings(
             data=self.data,
