@@ -81,6 +81,10 @@ def setup(app: Any) -> None:
 
 def write_pages(app: Any) -> None:
     """Write the pages; outputs of other sources than the present ones are removed."""
+    from jupyter_cache import get_cache
+
+    # before processes that read pages in parallel (-j) would each create it
+    get_cache(nb_execution_cache_path).list_cache_records()
     reference.write(DOCS / "reference" / "generated", KEPT / "effects" / PACKAGE)
     studied = content_hash("meshskin", "bodies", "studies")
     for old in KEPT.glob("*/*"):

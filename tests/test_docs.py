@@ -23,9 +23,10 @@ pytestmark = pytest.mark.docs
 
 
 def sphinx(builder: str, out: Path) -> subprocess.CompletedProcess:
-    """Run a builder of Sphinx, warnings as errors; builders with one `out` share what they read."""
+    """Run a builder of Sphinx, warnings as errors, notebooks two at a time; builders with one
+    `out` share what they read."""
     pytest.importorskip("sphinx", reason="pip install meshskin[docs]")
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-b", builder]
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-j", "2", "-b", builder]
     return subprocess.run(
         [*command, "-d", out / "doctrees", "docs", out / builder],
         cwd=ROOT,
