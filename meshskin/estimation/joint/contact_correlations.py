@@ -154,18 +154,24 @@ class _Correlograms:
 
     def drawn(self) -> tuple[Array, Array, Array]:
         """Mean and standard deviation (3 (RINGS + 1), 6) of the correlograms of what the estimate
-        finds of unit errors of each of KINDS, white ones and fields; and the mean squares (6,) of
+        finds of unit errors of each of KINDS, white ones, then fields; and the mean squares (6,) of
         what they displace a taxel by, in its stated standard deviations."""
-        jacobian, system = self.fitted.jacobian, self.system
-        each = [self._off(kind, field) for field in (False, True) for kind in range(len(KINDS))]
-        off, weight = np.concatenate(each, axis=1), self.fitted.curvature[:, None]
-        x = system.solve(*system.transposed(jacobian, weight * off))  # of all together
+        parts = zip(*(self._drawn(field) for field in (False, True)), strict=True)
+        mean, deviation, square = (np.concatenate(part, axis=-1) for part in parts)
+        return mean, deviation, square
+
+    def _drawn(self, field: bool) -> tuple[Array, Array, Array]:
+        """As `drawn`, of white errors or fields: those of all kinds are solved for together."""
+        jacobian, system, weight = self.fitted.jacobian, self.system, self.fitted.curvature[:, None]
+        off = np.concatenate([self._off(kind, field) for kind in range(len(KINDS))], axis=1)
+        x = system.solve(*system.transposed(jacobian, weight * off))
         off -= system.forward(jacobian, x)
-        found = self.of(x[1], off * np.sqrt(weight)).reshape(-1, 2 * len(KINDS), self.count)
+        off *= np.sqrt(weight)
+        found = self.of(x[1], off).reshape(-1, len(KINDS), self.count)
         places = x[0][:, :2].reshape(len(x[0]), 2, -1, self.count)
-        square = np.einsum("niqc,nij,njqc->q", places, self.information, places, optimize=True)
-        mean, deviation = found.mean(axis=2), found.std(axis=2, ddof=1)
-        return mean, deviation, square / (2 * len(places) * self.count)
+        weighted = np.einsum("nij,njqc->niqc", self.information, places)
+        square = np.einsum("niqc,niqc->q", places, weighted) / (2 * len(places) * self.count)
+        return found.mean(axis=2), found.std(axis=2, ddof=1), square
 
     def _off(self, kind: int, field: bool) -> Array:
         """What unit errors of one of KINDS, white ones or fields, change the readings by (k, c)."""
@@ -216,4 +222,4 @@ def _rings(points: Array, far: float) -> Rings:
 def _products(rings: Rings, values: Array) -> Array:
     """Mean products (RINGS + 1, c) of values (n, c) over the pairs of each ring."""
     first, second, means = rings
-    return np.asarray(means @ (values[first] * values[second]))
+    return np.stack([means @ (v[first] * v[second]) for v in values.T], axis=1)

@@ -14,6 +14,7 @@ from ..data.global_parameters import ELECTRONICS, PRIORS
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from .departures import FILTER_SHARE, MIN_SCORE
 from .deviations import Deviations
+from .first_response import with_first_response
 from .leaks import leaking_pairs
 from .parametrization import Unknowns
 from .pressure import OBSERVED
@@ -56,6 +57,7 @@ def with_departures(
     more than a start with small errors of theirs finds.
     """
     begin, unlikely, failed = (effects.unknowns, effects.deviations), set[str](), set(excluded)
+    effects = with_first_response(effects)
     if not effects.converge() or _may_hide_forces(effects):
         effects = _likelier_with_wider_forces(effects, *begin)
     while True:

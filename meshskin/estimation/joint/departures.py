@@ -12,8 +12,10 @@ Mathematical Proceedings of the Cambridge Philosophical Society 44 (1948).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
@@ -32,6 +34,9 @@ CONTACT_ERRORS = "errors of the contacts"
 """Name of the departure that `contact_score` tests."""
 MIN_SCORE = 6.0
 """Score, in standard deviations, from which a departure is shown: 1e-9 by chance."""
+TOGETHER = 7
+"""Candidates whose scores are computed together: all at once would need the memory of the readings'
+derivatives again."""
 WIDTHS = (0.5, 1.0, 2.0, 4.0)
 """Half-widths of the play operator that are tried, in units of WIDTH."""
 LIMITS = (0.1e-3, 0.25e-3, 0.5e-3, 1e-3)
@@ -81,59 +86,58 @@ class FittedReadings:
         largest first, but last the drift, for which each of the others can stand in."""
         drift = self._each(self.data.phase[self.readings.contact])
         n = max(int(np.sum(drift != 0)), 1)
-        found, end = dict[str, tuple[float, Array]](), 0
-        names, each, starts = zip(*self._candidates(), strict=True)
-        sizes, columns = [part.shape[1] for part in each], np.column_stack(each)
-        del each  # its memory serves the solution
-        slope, information = self.shared(columns)
-        for name, size, start in zip(names, sizes, starts, strict=True):
-            at = slice(end, end := end + size)
-            score, first = _score(slope[at], information[at, at])
-            if name in ONE_SIDED:
-                score *= float(np.sign(first)) or 1.0
-            elif name == "creep":  # of electronics that average a large part
-                share = np.clip(abs(first), SHARE, FILTER_SHARE)
-                start = np.array([np.copysign(share, first), *start[1:]])
-            if name not in found or score > found[name][0]:
-                found[name] = score, start
+        found, candidates = dict[str, tuple[float, Array]](), self._candidates()
+        while few := list(islice(candidates, TOGETHER)):
+            names, each, starts = zip(*few, strict=True)
+            ends = np.cumsum([part.shape[1] for part in each])
+            slope, information = self.shared(np.column_stack(each))
+            for name, start, end, part in zip(names, starts, ends, each, strict=True):
+                at = slice(end - part.shape[1], end)
+                score, first = _score(slope[at], information[at, at])
+                if name in ONE_SIDED:
+                    score *= float(np.sign(first)) or 1.0
+                elif name == "creep":  # of electronics that average a large part
+                    share = np.clip(abs(first), SHARE, FILTER_SHARE)
+                    start = np.array([np.copysign(share, first), *start[1:]])
+                if name not in found or score > found[name][0]:
+                    found[name] = score, start
         largest_first = dict(sorted(found.items(), key=lambda item: -item[1][0]))
         return largest_first | {"drift": (float((drift @ drift - n) / np.sqrt(2 * n)), np.zeros(0))}
 
-    def _candidates(self) -> list[tuple[str, Array, Array]]:
+    def _candidates(self) -> Iterator[tuple[str, Array, Array]]:
         """Departures that all taxels share, with the derivatives (k, q) of the readings in their
         parameters at zero, and the start of these; of candidates of one name the best counts."""
         pressure, k = np.maximum(self.mu - self.offset, 0.0), len(self.mu)
         electronics, data = Electronics(self.data, self.readings, self.points), self.data
         drifts = data.drifts[self.readings.contact]
-        found = [
-            ("crosstalk", electronics.neighbours @ pressure, np.zeros(1)),
-            ("drag", self.moved(data.headway[:, :, None]), np.zeros(1)),
-            ("gain_drift", drifts * pressure[:, None], np.zeros(DRIFT_SIZE)),
-            ("offset_drift", drifts * electronics.peak, np.zeros(DRIFT_SIZE)),
-        ]
+        yield "crosstalk", (electronics.neighbours @ pressure)[:, None], np.zeros(1)
+        yield "drag", self.moved(data.headway[:, :, None]), np.zeros(1)
+        yield "gain_drift", drifts * pressure[:, None], np.zeros(DRIFT_SIZE)
+        yield "offset_drift", drifts * electronics.peak, np.zeros(DRIFT_SIZE)
         for limit in LIMITS:
-            moved = -self.moved(shears(data, limit)[0][:, :, None])
-            found.append(("friction", moved, np.array([limit])))
+            yield "friction", -self.moved(shears(data, limit)[0][:, :, None]), np.array([limit])
         for width in WIDTHS:
             half = np.full(k, width * WIDTH * electronics.peak)
             lag = electronics.play(pressure, half)[0] - pressure
-            found.append(("hysteresis", lag, np.array([SHARE, np.log(width)])))
+            yield "hysteresis", lag[:, None], np.array([SHARE, np.log(width)])
         for time in TIMES:
             rise = electronics.creep.follow(pressure, np.log(time)) - pressure
-            found.append(("creep", rise, np.array([SHARE, np.log(time), 0.0])))
+            yield "creep", rise[:, None], np.array([SHARE, np.log(time), 0.0])
         if data.headings is not None:
             # the closest point of a centre at height r moves by 1 / (1 + r k) of its motion; one
             # along a contact's normal does not move it
             shrunk = 1 / (1 + data.belief.indenter.radius * data.curvature.mean(axis=1))
             moved = self.moved(np.swapaxes(data.headings, 1, 2) * shrunk[:, None, None])
-            found += [("indenter_offset", column, np.zeros(3)) for column in moved.T]
-        return [(name, columns.reshape(k, -1), start) for name, columns, start in found]
+            for column in moved.T:
+                yield "indenter_offset", column[:, None], np.zeros(3)
 
     def moved(self, directions: Array) -> Array:
         """Derivatives (k, q) of the readings in displacements of the contacts along `directions`
         (m, 3, q), body frame."""
-        moved = directions[self.readings.contact]
-        return -np.einsum("kai,ka->ki", moved, self._gradient)
+        contact, found = self.readings.contact, np.zeros((len(self.mu), directions.shape[2]))
+        for axis in range(3):  # one by one: all need three times the memory
+            found -= directions[contact, axis] * self._gradient[:, axis, None]
+        return found
 
     @cached_property
     def _gradient(self) -> Array:
@@ -164,16 +168,21 @@ class FittedReadings:
             part = np.stack(each, axis=2)
             information -= inner(part, np.stack(solved, axis=2))
             # a scale that is wrong would pass for amplitudes that change
-            scale = np.maximum(self.mu - self.offset, 0.0)
-            follows = self._solved(self._coupling(scale))
+            scale, follows, own = self._scale
             common = weighted.T @ scale - inner(part, follows[..., None])[:, 0]
-            own = float(self.each(scale)[1].sum())
             if own > 0:  # zero without any reading that counts
                 slope = slope + common * float(self.rate @ scale) / own
                 information -= np.outer(common, common) / own
         lost = np.diag(information) <= SEEN * known
         information[lost] = information[:, lost] = 0.0
         return np.where(lost, 0.0, slope), information
+
+    @cached_property
+    def _scale(self) -> tuple[Array, Array, float]:
+        """Derivatives (k,) of the readings in a common scale, how the taxels' own unknowns follow
+        it (n, D), and its information."""
+        scale = np.maximum(self.mu - self.offset, 0.0)
+        return scale, self._solved(self._coupling(scale)), float(self.each(scale)[1].sum())
 
     def unexplained(self, columns: Array) -> tuple[Array, Array]:
         """What other unknowns do not explain of `columns` (k, q), derivatives of the readings in

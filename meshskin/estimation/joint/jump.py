@@ -20,7 +20,7 @@ PLACES = 15
 PERIODS, GROUP = 30, 2.0
 """Parts of a recording, and size of a part of the body in reaches of a contact, over which errors
 that neighbouring contacts share are summed."""
-TOGETHER = 5
+TOGETHER = 3
 """Places whose displacements are solved for together: more need the memory of the contacts' again.
 """
 MIN_SHOWN = 0.02

@@ -52,17 +52,16 @@ def contact_centroid_start(data: Measurements) -> EstimatorResult:
     """
     n, seen = len(data.ids), np.flatnonzero(data.counts)
     points, reasons = np.full((n, 3), np.nan), np.full(n, trilaterate.TOO_FEW, dtype=object)
-    rotations, scatter = np.tile(np.eye(3), (n, 1, 1)), np.full((n, 3, 3), np.inf)
+    rotations, flat = np.tile(np.eye(3), (n, 1, 1)), np.full((n, 2, 2), np.inf)
     if len(seen):
         points[seen] = trilaterate.medians(
             replace(data, pressure=np.ones_like(data.pressure)), seen
         )
         rotations[seen] = chart.frames(data.body.closest(points[seen]).normal)
         offset = data.points[data.contact] - points[data.taxel]
-        local = np.einsum("kij,ki->kj", rotations[data.taxel], offset)
+        local = np.einsum("kij,ki->kj", rotations[data.taxel, :, :2], offset)
         total = sums_by_group(local[:, :, None] * local[:, None, :], data.taxel, n)
-        scatter[seen] = total[seen] / data.counts[seen, None, None]
-    flat = scatter[:, :2, :2]
+        flat[seen] = total[seen] / data.counts[seen, None, None]
     spread = np.sqrt(np.trace(flat, axis1=1, axis2=2))
     enough = data.counts >= 3
     reasons[enough] = ""
