@@ -66,4 +66,4 @@ def test_estimates_print_what_came_of_them(sphere):
 def test_modules_print_their_number():
     body = ms.Body.capsule(radius=0.04, length=0.15)
     made = ms.Skin.modules(body, region=ms.Disc(point=(0.04, 0, 0), radius=0.04))
-    assert repr(made) == f"<Modules: {len(made)} of 10 taxels>"
+    assert repr(made) == f"<Modules: {len(made)}, 10 taxels each>"

@@ -88,6 +88,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+MAX_IDS = 1_000_000
+"""Most ids of a range: more than any skin has."""
+
+
 def _response_groups(options: argparse.Namespace) -> tuple[np.ndarray, ...]:
     """Ids of the taxels of each group of --response-groups. Raises ConfigError."""
     try:
@@ -103,9 +107,12 @@ def _response_groups(options: argparse.Namespace) -> tuple[np.ndarray, ...]:
         ) from error
 
 
-def _range(first: str, _: str, last: str) -> np.ndarray:
+def _range(first: str, to: str, last: str) -> np.ndarray:
     """Ids from the first to the last, or the first alone. Raises ValueError for other texts."""
-    return np.arange(int(first), int(last or first) + 1)
+    low, high = int(first), int(last if to else first)
+    if not 0 <= high - low < MAX_IDS:
+        raise ValueError(f"{first}-{last} is no range of ids")
+    return np.arange(low, high + 1)
 
 
 def belief_of(options: argparse.Namespace, taxel_ids: ArrayLike) -> Belief:

@@ -274,7 +274,8 @@ class CalibratedSkin:
         mu, jacobian = self._predict(data, contact, taxel, where)
         off = data.pressure[rows] / data.sigma - mu
         own = np.einsum("ik,kij,jk->k", jacobian[:3], self.covariances[taxel], jacobian[:3])
-        variance = d.noise_of(mu) ** 2 + own
+        edge = data.spread[contact] ** 2 / data.sigma**2 - 1.0
+        variance = d.noise_of(mu) ** 2 + edge + own
         last = 3 + self.nuisance.shape[1] + len(self.s)
         shared = jacobian[last : last + 3].T * [d.position, d.position, d.force]
         out, ends = np.zeros(len(data.points)), np.cumsum(count)

@@ -1,7 +1,7 @@
 """What an indenter reaches: the part of a body's surface that it can be pressed on.
 
 Points spread evenly over the visible surface are tested as the planner tests the samples of its
-lanes: the indenter fits, no edge is within the contact patch, a contact model holds, and and a
+lanes: the indenter fits, no edge is within the contact patch, a contact model holds, and a
 straight path leads there from outside. An arm may reach less.
 """
 

@@ -194,9 +194,30 @@ class Exposed:
         return faces.take([int(np.argmin(away))])
 
 
+@dataclass(frozen=True, eq=False)
+class Around:
+    """The points of a region within a geodesic distance of one of its points."""
+
+    region: Region
+    middle: Closest
+    """one point"""
+    radius: float
+    """m"""
+
+    def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
+        """The points of the region within the radius."""
+        found = np.array(arc_length(self.middle, at) <= self.radius)
+        found[found] = self.region.contains(body, at.take(found))
+        return found
+
+    def centre(self, body: Body) -> Closest:
+        """The point `middle`."""
+        return self.middle
+
+
 def exposed(body: Body, region: Region) -> Region:
     """The part of a region that no other part of the body covers."""
-    return Exposed(region) if body.surface.parted else region
+    return Exposed(region) if body.surface.covered else region
 
 
 def _known(name: str, names: list[str]) -> str:

@@ -111,8 +111,9 @@ def clock_offset(
         rows = _rows(times, stretches, int(k))
         about = np.nan_to_num(readings[rows])
         pressed = np.max(about, axis=0, initial=0.0) > PRESSED * noise
+        about = about[:, pressed]
         if len(rows) >= FRAMES_PER_KNOT * KNOTS and _in_one_place(about, in_contact[rows]):
-            sums = about[:, pressed].sum(axis=1, dtype=float)
+            sums = about.sum(axis=1, dtype=float)
             found.append(_of_contact(path, times[rows], sums, float(np.sum(noise[pressed] ** 2))))
     told = np.array([one for one in found if one is not None])
     if len(told) < MIN_CONTACTS:

@@ -37,12 +37,13 @@ def draw_figures(
     second.
     """
     pictures: list[SavedFigure | None] = []
+    drawn = [draw for draw in DRAWN if data.truth is None or draw is not residuals]
     with suppress(OutOfTime):
-        stage = Stage(progress, "report", len(DRAWN))
-        for draw in DRAWN:
+        stage = Stage(progress, "report", len(drawn))
+        for draw in drawn:
             pictures.append(draw(folder, data))
             stage.step()
-    left_out = [draw.__name__.replace("_", " ") for draw in DRAWN[len(pictures) :]]
+    left_out = [draw.__name__.replace("_", " ") for draw in drawn[len(pictures) :]]
     return [picture for picture in pictures if picture is not None], left_out
 
 
@@ -246,7 +247,7 @@ def iterations(folder: Path, data: ReportData) -> SavedFigure | None:
 
 def residuals(folder: Path, data: ReportData) -> SavedFigure | None:
     """Map of the residuals, of calibrations without a truth."""
-    if data.truth is not None or not np.isfinite(data.residuals).any():
+    if not np.isfinite(data.residuals).any():
         return None
     words = (
         "Root mean square residual of the readings of each taxel, relative to that of the median "

@@ -91,9 +91,10 @@ class Belief(Value, NamedFields):
     normal); taxel ids are then slots * module + slot. None: the taxels are independent."""
     response_groups: tuple[np.ndarray, ...] = ()
     """Ids of the taxels of each further group that responds in its own way, such as a second skin
-    or amplifier: response_groups=(range(48, 96),). Taxels of no group are the first one. A learned
-    response has a profile, exponents and a compression for each. Undeclared, two groups are looked
-    for among the modules and the parts of the ids."""
+    or amplifier: response_groups=(range(48, 96),). Taxels of no group are the first one; where
+    every taxel is in a group, the first group listed is. A learned response has a profile,
+    exponents and a compression for each; a contact model has one response for all. Undeclared, two
+    groups are looked for among the modules and the parts of the ids."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -145,6 +146,8 @@ class Belief(Value, NamedFields):
                     else "no taxel ids",
                     remedy="list ids of taxel_ids",
                 )
+        if found and np.isin(self.taxel_ids, np.concatenate(found)).all():
+            return found[1:]
         return found
 
     def with_(self, **changes: Any) -> Belief:

@@ -93,7 +93,11 @@ def first_site(
     """
     centre = region.centre(body)
     if not region.contains(body, centre)[0]:
-        raise SkinError("the region contains no surface", value=region, remedy="move or widen it")
+        raise SkinError(
+            "the region contains no exposed surface",
+            value=getattr(region, "region", region),
+            remedy="move or widen it; another part of the body may cover it",
+        )
     tangent, side, _ = np.moveaxis(orthonormal_basis(centre.normal), 2, 0)
     a, b = rng.uniform(-0.5, 0.5, size=2)
     angle = rng.uniform(0.0, np.pi / 3.0)

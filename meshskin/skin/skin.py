@@ -307,7 +307,7 @@ class Modules(Value):
         return len(self.numbers)
 
     def __repr__(self) -> str:
-        return f"<Modules: {len(self)} of {len(slots.TAXELS)} taxels>"
+        return f"<Modules: {len(self)}, {len(slots.TAXELS)} taxels each>"
 
     @cached_property
     def skin(self) -> Skin:

@@ -96,7 +96,9 @@ def _by_spacing(
         if count is not None:
             margin = round(4.0 * np.sqrt(count))  # two rings, cut off by the caller
             found = lattice.grow(body, region, target, first, count + margin, None, stage)
-        if count is None or len(found) < count:  # the centre may be on a small part of the region
+            if len(found) < count:  # the centre may be on a small part of the region
+                found = _about(body, region, target, first, count + margin, stage)
+        else:
             found = lattice.fill(body, region, target, first, refinements, stage)
             found = replace(found, arc_length=np.zeros(len(found)))  # islands: other starts
         if found.spacing()[1] > SCATTER_TOLERANCE:
@@ -106,6 +108,20 @@ def _by_spacing(
             break
         target *= spacing / mean
     return _from_centre(body, region, found, spacing)
+
+
+def _about(
+    body: Body, region: regions.Region, spacing: float, first: Lattice, count: int, stage: Stage
+) -> Lattice:
+    """At least `count` sites (spacing in m) about the first one, on several parts of the region;
+    all that it holds where these are fewer."""
+    radius = spacing * float(np.sqrt(lattice.ROW * count / np.pi))
+    while True:
+        near = regions.Around(region, first.at, radius)
+        found = lattice.fill(body, near, spacing, first, 0, stage)
+        if len(found) >= count or radius > 4.0 * body.surface.scale:
+            return replace(found, arc_length=np.zeros(len(found)))
+        radius *= np.sqrt(2.0)
 
 
 def _by_count(

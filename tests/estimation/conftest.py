@@ -125,6 +125,7 @@ class World:
             "surface_sigma": 0.0,
             "headings": None,
             "module_slots": None,
+            "response_groups": (),
         }
         return SimpleNamespace(**fields | changes)
 

@@ -75,6 +75,12 @@ def estimate_of_presses(seed, length, **where):
     )
 
 
+def test_the_noise_of_taxels_that_are_not_pressed_is_no_slide():
+    found = estimate_of_presses(0, 0.0, taxels=20)
+    assert found.contacts > 15
+    assert abs(found.offset - 0.037) < 4 * found.sigma < 0.02
+
+
 def test_strokes_over_the_skin_tell_nothing():
     """Other taxels answer at their end than at their onset, as strongly as it happens."""
     for seed in range(10):

@@ -144,7 +144,7 @@ def test_a_position_file_in_millimetres_with_constant_normals_is_put_on_a_body(t
         SkinError, match=r"taxel \d+ is too far from the surface of sphere.*units='mm'"
     ):
         Skin.load(tmp_path / "mm.txt").onto(ball)
-    with pytest.raises(SkinError, match="unit of a skin file, got 'km'"):
+    with pytest.raises(SkinError, match="unknown unit, got 'km'"):
         Skin.load(tmp_path / "mm.txt", units="km")
     placed = Skin.load(tmp_path / "mm.txt", units="mm").onto(ball)
     np.testing.assert_allclose(placed.normals, skin.normals, atol=1e-6)

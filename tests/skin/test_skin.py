@@ -148,7 +148,10 @@ def test_outermost_point_of_a_direction():
         ({"count": 5, "region": Cap((0, 0, 0))}, "a direction must be finite"),
         ({"count": 5, "region": Faces(())}, "a region needs faces"),
         ({"spacing": 5e-3, "region": Faces((0, 6000))}, "no such face, got 6000, limit: 0 to"),
-        ({"spacing": 5e-3, "region": HalfSpace((0, 0, 1), 0.2)}, "the region contains no surface"),
+        (
+            {"spacing": 5e-3, "region": HalfSpace((0, 0, 1), 0.2)},
+            "the region contains no exposed surface",
+        ),
     ],
 )
 def test_impossible_layouts_are_refused(ball, wrong, match):

@@ -12,7 +12,7 @@ from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
-from .patch_shape import over_patches, unevenness
+from .patch_shape import over_patches, typical_radius, unevenness
 from .resolve_belief import nominal_patches
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ class Measurements:
     @cached_property
     def groups(self) -> np.ndarray:
         """Group (n,) of taxels with a response of its own that each one belongs to."""
-        found = np.zeros(len(self.ids), dtype=np.int8)
+        found = np.zeros(len(self.ids), dtype=int)
         for number, ids in enumerate(self.belief.response_groups, 1):
             found[np.isin(self.ids, ids)] = number
         return found
@@ -290,7 +290,8 @@ class Measurements:
         model's, for no quadric describes the body within its patch."""
         hit = self.body.closest(self.points)
         hit = replace(hit, curvature=self.curvature, direction=self.directions)
-        return unevenness(self.belief, hit, self.force) * self.peaks / self.sigma
+        radius = typical_radius(self.belief, self.force)
+        return unevenness(self.belief, hit, radius) * self.peaks / self.sigma
 
     @property
     def edges(self) -> int:

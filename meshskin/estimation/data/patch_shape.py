@@ -68,18 +68,18 @@ GRAZING = 1e-6
 far above rounding."""
 
 
-def unevenness(belief: Belief, hit: Closest, force: Array) -> Array:
+def unevenness(belief: Belief, hit: Closest, radius: Array | float) -> Array:
     """Heights (m,), rms, by which the body departs from the quadrics of the contacts `hit` at RIM
-    of the typical patch of the forces (n,), N, relative to the depth of a ball's impression there.
+    of patches of `radius` (m,), m, relative to the depth of a ball's impression there.
 
     Where the body has an edge within a patch no quadric describes it: pressures there differ from
     those of any contact model by about this part of the peak, which is what a thin layer's do.
     """
-    size = RIM * _typical_radius(belief, force)
-    rim = PLACES[1 + SPOKES :] * size
+    size = np.broadcast_to(RIM * np.asarray(radius), len(hit.point))
+    rim = PLACES[1 + SPOKES :] * size[:, None, None]
     across = np.cross(hit.normal, hit.direction)
     basis = np.stack([hit.direction, across, hit.normal], axis=2)
-    quadric = 0.5 * np.einsum("mc,pc->mp", hit.curvature, rim**2)
+    quadric = 0.5 * np.einsum("mc,mpc->mp", hit.curvature, rim**2)
     apart = _heights(belief.body, hit, basis, rim) - quadric
     return np.asarray(np.sqrt(np.mean(apart**2, axis=1)) * belief.indenter.radius / size**2)
 
@@ -88,11 +88,11 @@ def over_edges(belief: Belief, hit: Closest, force: Array) -> Array:
     """Parts (m,) of the peak pressures by which those of the contacts `hit` differ from a contact
     model's, rms: 0 but where they are over an edge of the body; an exact surface has none.
 
-    force (n,), N: forces, the median of which counts.
+    force (m,), N: of each contact.
     """
     if not hasattr(belief.body, "surface") or not len(hit.point):
         return np.zeros(len(hit.point))
-    found = unevenness(belief, hit, force)
+    found = unevenness(belief, hit, plane_radius(belief, force))
     return np.where(found > EDGE, EDGE_ERROR * found, 0.0)
 
 
@@ -102,22 +102,27 @@ def over_patches(belief: Belief, hit: Closest, force: Array) -> Closest:
     """
     if not len(hit.point) or not np.any(force > 0):
         return hit
-    shaped = _curved(belief.body, hit, _typical_radius(belief, force))
+    shaped = _curved(belief.body, hit, typical_radius(belief, force))
     return without_hollows(shaped, belief.indenter.radius)
 
 
-def _typical_radius(belief: Belief, force: Array) -> float:
+def plane_radius(belief: Belief, force: Array | float) -> Array:
+    """Radii (m,), m, of Hertz' patches on a plane under forces (m,), N."""
+    load = force * belief.indenter.radius
+    return np.asarray((0.75 * load / belief.material.effective_modulus) ** (1 / 3))
+
+
+def typical_radius(belief: Belief, force: Array) -> float:
     """Radius, m, of Hertz' patch on a plane under the median of the positive forces (n,), N."""
-    load = float(np.median(force[force > 0])) * belief.indenter.radius
-    return float((0.75 * load / belief.material.effective_modulus) ** (1 / 3))
+    return float(plane_radius(belief, float(np.median(force[force > 0]))))
 
 
 def _heights(body: Body, hit: Closest, basis: Array, places: Array) -> Array:
-    """Heights (m, p), m, of places (p, 2), m, in the tangent planes of the points `hit` above the
-    surface; basis (m, 3, 3): tangents and normal as columns."""
-    at = hit.point[:, None] + np.einsum("mck,pk->mpc", basis[:, :, :2], places)
+    """Heights (m, p), m, of places (p, 2) or (m, p, 2), m, in the tangent planes of the points
+    `hit` above the surface; basis (m, 3, 3): tangents and normal as columns."""
+    at = hit.point[:, None] + places @ np.swapaxes(basis[:, :, :2], 1, 2)
     at = at.reshape(-1, 3)
-    above = body.surface.nearest(at, np.repeat(hit.face, len(places)))
+    above = body.surface.nearest(at, np.repeat(hit.face, places.shape[-2]))
     apart, up = np.abs(above.distance), np.einsum("ij,ij->i", at - above.point, above.normal)
     # over an edge of the body the normal there is that of one of its faces
     return np.where(up < -GRAZING * apart, -apart, apart).reshape(len(basis), -1)

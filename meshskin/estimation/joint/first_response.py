@@ -12,10 +12,11 @@ from dataclasses import fields, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..data.global_parameters import WARMING
 from ..data.measurements import Measurements
 from ..posegraph.symmetric_blocks import SingularMatrixError
-from .likelihood import Readings
 from .random_effects import RandomEffects
+from .readings import Readings
 
 PARTS, SIZE = 4, 150
 """Regions of the skin, and taxels of each: neighbours, so that they share contacts, whose errors
@@ -28,9 +29,10 @@ five of eight steps of all taxels, and takes seven of its own (studies/speed/joi
 
 def with_first_response(effects: RandomEffects) -> RandomEffects:
     """The estimate with the global parameters and variances that a part of the taxels has; as it is
-    where taxels are few, contacts move, or the part does not converge."""
-    u, chosen = effects.unknowns, PARTS * SIZE
-    if len(u.nuisance) < LEAST * chosen or effects.data.parameters.move_contacts:
+    where taxels are few, contacts move, readings drift, or the part does not converge."""
+    u, chosen, parameters = effects.unknowns, PARTS * SIZE, effects.data.parameters
+    drifts = {*WARMING, "drift"} & {*parameters.names, *parameters.nuisance_names}
+    if len(u.nuisance) < LEAST * chosen or parameters.move_contacts or drifts:
         return effects
     points = u.parametrization.points()
     middles = points[np.linspace(0, len(points) - 1, PARTS).astype(int)]
@@ -55,7 +57,7 @@ def _part(effects: RandomEffects, taxels: np.ndarray) -> RandomEffects:
     contacts, contact = np.unique(readings.contact[rows], return_inverse=True)
     data, kept = _of_contacts(effects.data, contacts)
     source = readings.source[rows]
-    each = {f.name: getattr(readings, f.name)[rows] for f in fields(readings)[:-1]}
+    each = {f.name: getattr(readings, f.name)[rows] for f in fields(readings)[:-2]}
     each |= {
         "contact": contact,
         "taxel": np.repeat(np.arange(len(taxels)), count),
@@ -65,7 +67,8 @@ def _part(effects: RandomEffects, taxels: np.ndarray) -> RandomEffects:
     unknowns = replace(
         u, parametrization=there, nuisance=u.nuisance[taxels], errors=u.errors[contacts]
     )
-    part = Readings(**each, starts=np.append(0, np.cumsum(count)))
+    starts, live = np.append(0, np.cumsum(count)), readings.live[taxels]
+    part = Readings(**each, starts=starts, live=live)
     return RandomEffects(data, part, unknowns, effects.deviations, stage=effects.stage)
 
 

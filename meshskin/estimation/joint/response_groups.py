@@ -95,7 +95,7 @@ def _modules(
 
 def _score(slope: Array, information: Array, group: np.ndarray) -> tuple[float, int]:
     """Score of differences between groups (n,), and the number of the one that differs most; by the
-    slopes (n,) of the log-likelihood in each taxel's compression, with their information (n,)."""
+    slopes (n,) of the log-likelihood in a parameter of each taxel, with their information (n,)."""
     used = (group >= 0) & (information > 0)
     numbers, at = np.unique(group[used], return_inverse=True)
     total = np.bincount(at, information[used])

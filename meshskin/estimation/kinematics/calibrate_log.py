@@ -92,7 +92,7 @@ def calibrate_log(
         known = replace(belief, surface_sigma=heights.mesh_error.sigma, noise_sigma=noise)
         found, recording, values, moved = _estimated(used, heights, x, known, reference, progress)
         if noise is None and not _exceeds(found, belief.noise_sigma):
-            noise, moved = belief.noise_sigma, np.inf
+            noise, moved, rounds = belief.noise_sigma, np.inf, rounds - 1
         late = heights.model.value("clock_offset", values)
         if log.force is not None and abs(late) > TIMED:
             used, clock, heights, x = _started(

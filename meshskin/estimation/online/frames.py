@@ -193,7 +193,6 @@ def contacts_of(
         )
     hit, kept = hit.take(valid), frames.take(valid)
     headings = None if template.headings is None else _headings(kept)
-    reference = np.array([belief.force_reference or 1.0])
     return replace(
         template,
         points=kept.points,
@@ -201,7 +200,7 @@ def contacts_of(
         directions=hit.direction,
         curvature=hit.curvature,
         force=kept.force,
-        unevenness=np.empty(0) if template.learned else over_edges(belief, hit, reference),
+        unevenness=np.empty(0) if template.learned else over_edges(belief, hit, kept.force),
         time=np.zeros(len(kept)) if kept.time is None else kept.time,
         patches=nominal_patches(model, belief, kept.force, hit.curvature),
         headings=headings,

@@ -118,6 +118,7 @@ def _thinned(data: Measurements, step: int) -> Measurements:
         directions=data.directions[kept],
         curvature=data.curvature[kept],
         force=data.force[kept],
+        unevenness=data.unevenness[kept] if len(data.unevenness) else data.unevenness,
         patches=data.patches.take(kept),
         time=data.time[kept],
         contact=row[data.contact[read]],

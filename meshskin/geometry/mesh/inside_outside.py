@@ -148,11 +148,22 @@ class InsideOutside:
     def buried(self, face: Index, uv: Array) -> NDArray[np.bool_]:
         """Whether (n,) a part of the mesh covers the points `uv` (n, 2) of the faces (n,).
 
-        Their fronts are within it. Of a mesh with borders, the faces as a whole: see `level`.
+        Their fronts are within it: of a mesh with borders those of the whole faces, and only where
+        the mesh covers them without the closures of its borders, too.
         """
-        closed = self._winding.closed
-        level = self._in_front_at(face, uv) if closed else self.level[face]
-        return np.asarray(self._winding.outward * level > 0)
+        found = self._winding.outward * self.level[face] > 0
+        if self._winding.closed:
+            rows = np.flatnonzero(self.mixed[face])
+            found[rows] = self._winding.outward * self._in_front_at(face[rows], uv[rows]) > 0
+        elif found.any():
+            bare = WindingNumber(self._vertices, self.faces, close=False)
+            found[found] = self._in_front(bare)[face[found]] > 0
+        return np.asarray(found)
+
+    @cached_property
+    def covers(self) -> bool:
+        """Whether a part of the mesh may cover a face of another one."""
+        return bool(np.any(self._winding.outward * self.level > 0) or len(self.crossed))
 
     @cached_property
     def level(self) -> NDArray[np.int64]:

@@ -117,13 +117,14 @@ class Surface:
         return np.stack(ends, axis=1)
 
     @cached_property
-    def parted(self) -> bool:
-        """Whether the mesh has several parts, or passes through itself."""
-        return bool(len(self._crossed) or face_components(self.neighbours).any())
+    def covered(self) -> bool:
+        """Whether a part of the mesh may cover another one."""
+        parted = bool(len(self._crossed) or face_components(self.neighbours).any())
+        return parted and self._inside_outside.covers
 
     def buried(self, at: Closest) -> NDArray[np.bool_]:
         """Whether (n,) another part of the mesh covers the surface at some points."""
-        if not self.parted:
+        if not self.covered:
             return np.zeros(len(at.face), dtype=bool)
         return self._inside_outside.buried(at.face, at.uv)
 

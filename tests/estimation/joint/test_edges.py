@@ -160,3 +160,18 @@ def test_contacts_mostly_over_an_edge_test_no_contact_model(belief):
     assert any("over edges of the body" in words for words in believed.verdict.reasons)
     chosen = ms.calibrate(near, contact_model(belief, "auto"))
     assert chosen.response is not None
+
+
+@pytest.mark.parametrize("reference", [None, 0.5])
+def test_the_online_estimate_weighs_contacts_over_edges_as_the_batch_estimate(belief, reference):
+    believed = contact_model(belief, "elliptic").with_(
+        force_reference=reference, noise_sigma=2e3, threshold=6e3
+    )
+    batch = ms.calibrate(recording(), believed)
+    online = ms.OnlineCalibration(believed)
+    online.update_recording(recording())
+    online.settle()
+    both = np.isfinite(batch.positions[:, 0]) & np.isfinite(online.positions[:, 0])
+    apart = np.linalg.norm(online.positions - batch.positions, axis=1) / batch.position_sigma
+    assert both.sum() > 15
+    assert apart[both].max() < 0.05

@@ -159,3 +159,11 @@ def test_groups_that_are_no_lists_of_ids_are_refused():
             belief(response_groups=groups)
     groups = belief(response_groups=(range(30, 900),)).response_groups
     assert [len(ids) for ids in groups] == [870]
+
+
+def test_groups_that_list_all_taxels_have_the_first_as_their_first():
+    ids = belief().taxel_ids
+    both = belief(response_groups=(ids[:20], ids[20:]))
+    assert len(both.response_groups) == 1
+    np.testing.assert_array_equal(both.response_groups[0], ids[20:])
+    assert both.with_(noise_sigma=1.0).response_groups[0].tolist() == ids[20:].tolist()

@@ -289,10 +289,11 @@ def test_a_profile_that_rises_beyond_its_band_is_a_doubt(bump, sigma, threshold,
     r = np.linspace(0.0, 5e-3, 60)
     profile = np.exp(-((r / 2e-3) ** 2)) + bump * np.exp(-(((r - 4e-3) / 5e-4) ** 2))
     response = SimpleNamespace(
-        distance=r, profile=profile, profile_sigma=np.full(60, sigma), unit=1.0
+        distance=r, profile=profile, profile_sigma=np.full(60, sigma), unit=1.0, taxels=()
     )
     data = SimpleNamespace(threshold=threshold)
-    found = verdict.profile(data, SimpleNamespace(response=response))
+    both = SimpleNamespace(each=(response,), unit=1.0)
+    found = verdict.profile(data, SimpleNamespace(response=both))
     assert [level for level, _ in found] == ["DOUBT"] * named
     assert all("to 4 mm" in words for _, words in found)
 
