@@ -12,6 +12,8 @@ de Silva, Langford, Science 290 (2000) (paths).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -99,22 +101,30 @@ def disc_distances(values: Array, radii: Array) -> Array:
     return np.interp(values, curve[::-1], distance[::-1])
 
 
-def path_lengths(levels: np.ndarray, weight: Array | None = None) -> Array:
-    """Lengths (n, n), in radii of the touches, of shortest paths between taxels, or inf.
+def near_lengths(levels: np.ndarray, weight: Array | None = None) -> Any:
+    """Distances, in radii of the touches, of near taxels: a sparse array (n, n).
 
     weight (m,): how much each frame counts, by default 1.
     """
     from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import shortest_path
 
     values, frames = index(levels, weight)
     near = (values >= NEAR) & (frames >= SHARED)
     np.fill_diagonal(near, False)
     i, j = np.nonzero(near)
     length = np.maximum(disc_distances(values[i, j], level_radii(levels)), 1e-6)  # 0: no edge
-    n = len(values)
+    return csr_array((length, (i, j)), shape=values.shape)
+
+
+def path_lengths(levels: np.ndarray, weight: Array | None = None) -> Array:
+    """Lengths (n, n), in radii of the touches, of shortest paths between taxels, or inf.
+
+    weight (m,): how much each frame counts, by default 1.
+    """
+    from scipy.sparse.csgraph import shortest_path
+
     # each pair is in the graph both ways, so that a directed search finds the same in half the time
-    return np.asarray(shortest_path(csr_array((length, (i, j)), shape=(n, n))))
+    return np.asarray(shortest_path(near_lengths(levels, weight)))
 
 
 def largest_part(lengths: Array) -> np.ndarray:

@@ -16,7 +16,7 @@ from ...core.provenance import random_stream
 from ...core.value import Value
 from . import stress, tiles
 from .alignment import aligned
-from .coactivity import distinct_levels, largest_part, path_lengths, strokes
+from .coactivity import distinct_levels, largest_part, near_lengths, path_lengths, strokes
 from .placement import ALIKE, Modules, best_on_body, fitted_modules, places_on, settled
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ def layout(
     error = stress.misfit(stress.distances(points), inner, unit)
     drawn = _drawn(levels, rows, known, points, unit, scaled, seed, stage)
     if tiled and modules is not None:
-        modules, wrong = tiles.tiled(modules)
+        modules, wrong = tiles.tiled(modules, near_lengths(levels[:, rows]).toarray(), unit)
         points, departure = modules.positions, np.hypot(departure, wrong[modules.module])
     if body is not None:
         placed, spread, alike = best_on_body(body, points, inner, unit, middles)

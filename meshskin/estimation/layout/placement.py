@@ -197,12 +197,15 @@ def rotation(angle: float) -> Array:
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
-def settled(start: T, lengths: Array, unit: float, free: bool) -> tuple[T, float]:
+def settled(
+    start: T, lengths: Array, unit: float, free: bool, weight: Array | None = None
+) -> tuple[T, float]:
     """The placement of least stress for `lengths` (n, n) in a unit, m, and that unit.
 
-    free: the unit is estimated, too, from the value given.
+    free: the unit is estimated, too, from the value given. weight (n, n): by default that of
+    relative errors.
     """
-    weight = stress.weights(lengths)
+    weight = stress.weights(lengths) if weight is None else weight
     placement, cost, damping = start, _stress(start, lengths, weight, unit), 1e-3
     for _ in range(ITERATIONS):
         matrix, gradient = _normal_equations(placement, lengths, weight, unit)

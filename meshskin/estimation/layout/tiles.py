@@ -13,7 +13,8 @@ import numpy as np
 
 from ...core.arrays import Array, median_spacing
 from ...core.errors import CalibrationError
-from .placement import Modules, rotation
+from . import stress
+from .placement import Modules, rotation, settled
 
 NORMALS = np.deg2rad([-90.0, 30.0, 150.0])
 """Directions of the outward normals of the edges in a module's frame, rad (slots.CORNERS)."""
@@ -26,12 +27,14 @@ NEIGHBOURS = 1.6
 """Largest distance of modules that may meet, in those that do: the next nearest is sqrt(3)."""
 
 
-def tiled(modules: Modules) -> tuple[Modules, Array]:
+def tiled(modules: Modules, near: Array, unit: float) -> tuple[Modules, Array]:
     """The tiling that agrees with the poses of `modules`, and the misfit (m,), m, of each.
 
-    Modules that no chain of edges joins are tiled apart, and each part is placed where it fits the
-    given poses best. The misfit is the root mean square displacement of a module's taxels from
-    them. Raises CalibrationError where edges contradict each other, or two modules take one place.
+    Modules that no chain of edges joins are tiled apart. Each part is placed where it fits the
+    given poses best, and from there by the distances of near taxels across the gaps: near (n, n),
+    in a `unit`, m, and 0 where taxels are not near. The misfit is the root mean square displacement
+    of a module's taxels from the given poses. Raises CalibrationError where edges contradict each
+    other, or two modules take one place.
     """
     pitch = _pitch(modules.origins)
     meetings = _meetings(modules, pitch)
@@ -53,6 +56,8 @@ def tiled(modules: Modules) -> tuple[Modules, Array]:
         origins[own] = origins[own] @ rotation(turn).T + shift
         angles[own] += turn
     placed = replace(modules, origins=origins, angles=angles)
+    if part.max() > 0:
+        placed = _parts_placed(placed, part, modules.positions, near, unit)
     square = np.sum((placed.positions - modules.positions) ** 2, axis=1)
     return placed, np.sqrt(np.bincount(modules.module, square) / np.bincount(modules.module))
 
@@ -145,3 +150,22 @@ def _alignment(source: Array, target: Array) -> tuple[float, Array]:
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)
     angle = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
     return angle, target.mean(axis=0) - rotation(angle) @ source.mean(axis=0)
+
+
+def _parts_placed(
+    modules: Modules, part: np.ndarray, target: Array, near: Array, unit: float
+) -> Modules:
+    """Tiled modules whose parts (m,) are moved as rigid bodies to the distances `near` (n, n).
+
+    The whole is where it fits `target` (n, 2) best. Paths are left out: one that goes around a gap
+    is too long, and inside a part nothing is left to find but the unit.
+    """
+    count = part.max() + 1
+    own = part[modules.module]
+    start = Modules(own, modules.positions, np.zeros((count, 2)), np.zeros(count))
+    weight = np.where(near > 0, stress.weights(near), 0.0)
+    bodies, _ = settled(start, near, unit, free=True, weight=weight)
+    turn, shift = _alignment(bodies.positions, target)
+    whole = Modules(part, modules.origins, bodies.origins, bodies.angles)
+    origins = whole.positions @ rotation(turn).T + shift
+    return replace(modules, origins=origins, angles=modules.angles + bodies.angles[part] + turn)
