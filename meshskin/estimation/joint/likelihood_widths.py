@@ -41,9 +41,10 @@ def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array
     likelihood.
 
     The likelihood of a taxel in an open sector is evaluated WIDTHS standard deviations to both
-    sides along the weakest axis of `covariance` (n, 2, 2), and along an arc about its
-    contacts. Where it falls at x by a factor exp(-u^2 / 2), the standard deviation is at least
-    |x| / max(u, 1). scale: variance of the residuals by which the covariance was multiplied.
+    sides along the weakest axis of `covariance` (n, 2, 2), and along an arc about its contacts,
+    and on the ridge near these places. Where it falls at x by a factor exp(-u^2 / 2), the standard
+    deviation along each axis is at least |x| / max(u, 1). scale: variance of the residuals by which
+    the covariance was multiplied.
     """
     points, out = estimator.problem.points(estimator.state), covariance.copy()
     rows = np.flatnonzero(open_sectors(estimator, points) > OPEN_SECTOR)
@@ -85,23 +86,25 @@ def _to_width(
     estimator: JointEstimator, rows: np.ndarray, there: Array, across: Array, covariance: Array,
     given: Array, scale: float,
 ) -> Array:  # fmt: skip
-    """The covariances `given` (r, 2, 2) widened along the weakest axes of `covariance` (r, 2, 2) to
-    the likelihood on the ridge near places `there` (steps, r, 3), as `_widths`."""
-    value, vectors = np.linalg.eigh(covariance)
-    axis, points = vectors[:, :, 1], estimator.problem.points(estimator.state)[rows]
+    """The covariances `given` (r, 2, 2) widened along both axes of `covariance` (r, 2, 2) to the
+    likelihood on the ridge near places `there` (steps, r, 3). across: unit vectors across the
+    ridge, as wide as `there` or (r, 3)."""
+    value, axes = np.linalg.eigh(covariance)
+    points = estimator.problem.points(estimator.state)[rows]
+    frames = estimator.problem.parametrization.rotations()[rows][:, :, :2]
     breadth = np.sqrt(np.maximum(value[:, 0], 0.0))
-    wide = _widths(estimator, rows, points, there, across * breadth[:, None], scale)
-    wide = np.maximum(wide, np.sqrt(value[:, 1]))
-    excess = np.maximum(wide**2 - np.einsum("ki,kij,kj->k", axis, given, axis), 0)
-    return np.asarray(given + excess[:, None, None] * axis[:, :, None] * axis[:, None, :])
+    moves = _moves(estimator, rows, points, there, across * breadth[:, None], scale)
+    wide = np.abs(np.einsum("kij,kjl,ski->skl", frames, axes, moves)).max(axis=0)
+    square = np.maximum(wide**2, value) - np.einsum("kil,kij,kjl->kl", axes, given, axes)
+    return given + np.einsum("kil,kl,kjl->kij", axes, np.maximum(square, 0.0), axes)
 
 
-def _widths(
+def _moves(
     estimator: JointEstimator, rows: np.ndarray, points: Array, there: Array, across: Array,
     scale: float,
 ) -> Array:  # fmt: skip
-    """Largest standard deviations (r,), m, that the likelihood on the ridge near places `there`
-    (steps, r, 3) allows the taxels at `points` (r, 3).
+    """Moves (2 steps, r, 3), m, of the taxels at `points` (r, 3) by one standard deviation of the
+    likelihood at places `there` (steps, r, 3), and at those of the ridge near them.
 
     across: a standard deviation across the ridge, as wide as `there` or (r, 3), m.
     """
@@ -109,10 +112,10 @@ def _widths(
     for _ in range(PARABOLAS):
         cost = _log_odds(estimator, rows, points, there + (move + PROBES)[..., None] * across)[1]
         move = move + _vertex(*cost)
-    places = there + (move * np.array([[[0.0]], [[1.0]]]))[..., None] * across
+    places = np.stack([there, there + move[..., None] * across])
     places, odds = _log_odds(estimator, rows, points, places)
-    odds = np.maximum(2 * odds / scale, 1.0)
-    return np.asarray((np.linalg.norm(places - points, axis=-1) / np.sqrt(odds)).max(axis=(0, 1)))
+    sigmas = np.sqrt(np.maximum(2 * odds / scale, 1.0))
+    return np.asarray(((places - points) / sigmas[..., None]).reshape(-1, len(rows), 3))
 
 
 def _vertex(before: Array, at: Array, after: Array) -> Array:
