@@ -2,7 +2,8 @@
 
 Where the contacts lie on a line through a taxel, its position across the line enters the readings
 by its square only: two optima merge into a flat one. Where they lie at nearly one place, the
-readings tell the distance from it and little else: the likelihood is an arc.
+readings tell the distance from it and little else: the likelihood is an arc. A flat optimum bends,
+too, by more than its breadth: the likelihood is followed along its ridge.
 """
 
 from __future__ import annotations
@@ -21,9 +22,18 @@ STEPS = np.array([sign * width for width in WIDTHS for sign in (-1.0, 1.0)])
 SAME_PLACE = 0.5
 """Rms distance of a taxel's contacts from their middle, relative to its own, below which its
 likelihood is followed along an arc, too."""
-ACROSS = np.array([-8.0, -4.0, -2.0, -1.0, 0.0, 1.0, 2.0, 4.0, 8.0])
-"""Places across the arc at which the likelihood is compared, in standard deviations: the arc about
-the middle of the contacts is not exactly that of the largest likelihood."""
+PROBE = 2.0
+"""Distance across the axis or arc, in standard deviations, at which the likelihood is compared with
+that on it: the ridge is near the vertex of the parabola through the three."""
+PROBES = PROBE * np.array([-1.0, 0.0, 1.0])[:, None, None]
+"""PROBE to both sides."""
+MAX_ACROSS = 8.0
+"""Largest move by one parabola, in standard deviations across: where the readings are out of reach
+the likelihood is level, and parabolas have no vertex."""
+PARABOLAS = 2
+"""Parabolas to the ridge. A flat optimum beside a strip of contacts on a finger's link bends by 4
+standard deviations, and one parabola leaves 0.2; arcs about the contacts' middle are off by more.
+"""
 
 
 def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array:
@@ -31,21 +41,23 @@ def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array
     likelihood.
 
     The likelihood of a taxel in an open sector is evaluated WIDTHS standard deviations to both
-    sides along the weakest axis of `covariance` (n, 2, 2), and along an arc about its
-    contacts. Where it falls at x by a factor exp(-u^2 / 2), the standard deviation is at least
-    |x| / max(u, 1). scale: variance of the residuals by which the covariance was multiplied.
+    sides along the weakest axis of `covariance` (n, 2, 2), and along an arc about its contacts,
+    and on the ridge near these places. Where it falls at x by a factor exp(-u^2 / 2), the standard
+    deviation along each axis is at least |x| / max(u, 1). scale: variance of the residuals by which
+    the covariance was multiplied.
     """
     points, out = estimator.problem.points(estimator.state), covariance.copy()
     rows = np.flatnonzero(open_sectors(estimator, points) > OPEN_SECTOR)
     if not len(rows):
         return out
-    for part in batches(rows, len(STEPS)):
+    copies = len(STEPS) * len(PROBES)
+    for part in batches(rows, copies):
         out[part] = widened_along_axis(estimator, part, covariance[part], scale)
     arcs = rows_seen_from_one_place(estimator, rows, points[rows])
-    for part in batches(arcs, len(STEPS) * len(ACROSS)) if len(arcs) else []:
-        step, variances, axes = _steps(estimator, covariance[part])
-        there = _along_arcs(estimator, part, points[part], step, axes, variances)
-        out[part] = _to_width(estimator, part, there, covariance[part], out[part], scale)
+    for part in batches(arcs, copies) if len(arcs) else []:
+        step, _, axes = _steps(estimator, covariance[part])
+        arc = _along_arcs(estimator, part, points[part], step, axes)
+        out[part] = _to_width(estimator, part, *arc, covariance[part], out[part], scale)
     return out
 
 
@@ -57,9 +69,9 @@ def widened_along_axis(
     points = estimator.problem.points(estimator.state)[rows]
     frames = estimator.problem.parametrization.rotations()[rows]
     step, _, axes = _steps(estimator, covariance)
-    way = np.einsum("kij,kj->ki", frames[:, :, :2], axes[:, :, 1])
-    there = (points + step[:, :, None] * way)[:, None]
-    return _to_width(estimator, rows, there, covariance, covariance, scale)
+    across, way = np.einsum("kij,kjl->lki", frames[:, :, :2], axes)
+    there = points + step[:, :, None] * way
+    return _to_width(estimator, rows, there, across, covariance, covariance, scale)
 
 
 def _steps(estimator: JointEstimator, covariance: Array) -> tuple[Array, Array, Array]:
@@ -71,31 +83,59 @@ def _steps(estimator: JointEstimator, covariance: Array) -> tuple[Array, Array, 
 
 
 def _to_width(
-    estimator: JointEstimator, rows: np.ndarray, there: Array, covariance: Array, given: Array,
+    estimator: JointEstimator, rows: np.ndarray, there: Array, across: Array, covariance: Array,
+    given: Array, scale: float,
+) -> Array:  # fmt: skip
+    """The covariances `given` (r, 2, 2) widened along both axes of `covariance` (r, 2, 2) to the
+    likelihood on the ridge near places `there` (steps, r, 3). across: unit vectors across the
+    ridge, as wide as `there` or (r, 3)."""
+    value, axes = np.linalg.eigh(covariance)
+    points = estimator.problem.points(estimator.state)[rows]
+    frames = estimator.problem.parametrization.rotations()[rows][:, :, :2]
+    breadth = np.sqrt(np.maximum(value[:, 0], 0.0))
+    moves = _moves(estimator, rows, points, there, across * breadth[:, None], scale)
+    wide = np.abs(np.einsum("kij,kjl,ski->skl", frames, axes, moves)).max(axis=0)
+    square = np.maximum(wide**2, value) - np.einsum("kil,kij,kjl->kl", axes, given, axes)
+    return given + np.einsum("kil,kl,kjl->kij", axes, np.maximum(square, 0.0), axes)
+
+
+def _moves(
+    estimator: JointEstimator, rows: np.ndarray, points: Array, there: Array, across: Array,
     scale: float,
 ) -> Array:  # fmt: skip
-    """The covariances `given` (r, 2, 2) widened along the weakest axes of `covariance` (r, 2, 2) to
-    the likelihood at places `there`, as `_widths`."""
-    value, vectors = np.linalg.eigh(covariance)
-    axis, points = vectors[:, :, 1], estimator.problem.points(estimator.state)[rows]
-    wide = np.maximum(_widths(estimator, rows, points, there, scale), np.sqrt(value[:, 1]))
-    excess = np.maximum(wide**2 - np.einsum("ki,kij,kj->k", axis, given, axis), 0)
-    return np.asarray(given + excess[:, None, None] * axis[:, :, None] * axis[:, None, :])
+    """Moves (2 steps, r, 3), m, of the taxels at `points` (r, 3) by one standard deviation of the
+    likelihood at places `there` (steps, r, 3), and at those of the ridge near them.
+
+    across: a standard deviation across the ridge, as wide as `there` or (r, 3), m.
+    """
+    move = np.zeros(there.shape[:2])
+    for _ in range(PARABOLAS):
+        cost = _log_odds(estimator, rows, points, there + (move + PROBES)[..., None] * across)[1]
+        move = move + _vertex(*cost)
+    places = np.stack([there, there + move[..., None] * across])
+    places, odds = _log_odds(estimator, rows, points, places)
+    sigmas = np.sqrt(np.maximum(2 * odds / scale, 1.0))
+    return np.asarray(((places - points) / sigmas[..., None]).reshape(-1, len(rows), 3))
 
 
-def _widths(
-    estimator: JointEstimator, rows: np.ndarray, points: Array, there: Array, scale: float
-) -> Array:
-    """Largest standard deviations (r,), m, that the likelihood at places `there` (steps, q, r, 3)
-    allows the taxels at `points` (r, 3): of q places of a step the likeliest counts."""
-    steps, across = there.shape[:2]
+def _vertex(before: Array, at: Array, after: Array) -> Array:
+    """Moves, in standard deviations, to the vertices of parabolas through costs PROBE apart, as far
+    as MAX_ACROSS; that far to the lower side where there is none."""
+    slope, curvature = (after - before) / 2, before - 2 * at + after
+    return np.clip(-PROBE * slope / np.maximum(curvature, 1e-9), -MAX_ACROSS, MAX_ACROSS)
+
+
+def _log_odds(
+    estimator: JointEstimator, rows: np.ndarray, points: Array, there: Array
+) -> tuple[Array, Array]:
+    """The points (..., r, 3) of the body closest to `there`, and the log-likelihood (..., r) of the
+    taxels at `points` (r, 3) minus that there."""
     there = estimator.data.body.closest(there.reshape(-1, 3)).point.reshape(there.shape)
-    copies = np.tile(rows, steps * across)
+    copies = np.tile(rows, there[..., 0, 0].size)
     z = estimator.state.z[copies]
     here = np.broadcast_to(points, there.shape).reshape(-1, 3)
     odds = log_odds_between(estimator, copies, (here, z), (there.reshape(-1, 3), z))
-    odds = np.maximum(2 * odds.reshape(there.shape[:-1]) / scale, 1.0)
-    return np.asarray((np.linalg.norm(there - points, axis=-1) / np.sqrt(odds)).max(axis=(0, 1)))
+    return there, odds.reshape(there.shape[:-1])
 
 
 def rows_seen_from_one_place(
@@ -109,12 +149,11 @@ def rows_seen_from_one_place(
 
 
 def _along_arcs(
-    estimator: JointEstimator, rows: np.ndarray, points: Array, step: Array, axes: Array,
-    variances: Array,
-) -> Array:  # fmt: skip
-    """Places (steps, q, r, 3) at arc lengths `step` (steps, r), m, about the centres of the
-    contacts of taxels at `points` (r, 3), and ACROSS them; axes (r, 2, 2), variances (r, 2): of the
-    covariances in the tangent planes, the larger one last."""
+    estimator: JointEstimator, rows: np.ndarray, points: Array, step: Array, axes: Array
+) -> tuple[Array, Array]:
+    """Places (steps, r, 3) at arc lengths `step` (steps, r), m, about the centres of the contacts
+    of taxels at `points` (r, 3), and the unit vectors from the centres there; axes (r, 2, 2): of
+    the covariances in the tangent planes, the weakest one last."""
     centre, _ = _contact_centres(estimator, rows, points)
     frames = estimator.problem.parametrization.rotations()[rows][:, :, :2]
     flat = np.einsum("kij,ki->kj", frames, points - centre)
@@ -122,10 +161,11 @@ def _along_arcs(
     x = flat / radius[:, None]
     y = np.stack([-x[:, 1], x[:, 0]], axis=1)
     y *= np.where(np.einsum("ki,ki->k", y, axes[:, :, 1]) < 0, -1.0, 1.0)[:, None]
-    angle = np.clip(step / radius, -np.pi, np.pi)[:, None, :, None]
-    length = radius + ACROSS[:, None] * np.sqrt(np.maximum(variances[:, 0], 0.0))
-    moved = length[:, :, None] * (np.cos(angle) * x + np.sin(angle) * y) - flat
-    return np.asarray(points + np.einsum("kij,sqkj->sqki", frames, moved))
+    angle = np.clip(step / radius, -np.pi, np.pi)[:, :, None]
+    outward = np.cos(angle) * x + np.sin(angle) * y
+    moved = radius[:, None] * outward - flat
+    outward = np.einsum("kij,skj->ski", frames, outward)
+    return points + np.einsum("kij,skj->ski", frames, moved), outward
 
 
 def _contact_centres(

@@ -50,6 +50,10 @@ RESPONSE_SIGMAS = 5.0
 """Pressure, in standard deviations of the noise, above which a reading is a response: noise over a
 low threshold comes from all directions, and would close open sectors. A recording has 1e5 silent
 readings, of which noise lifts 130 above 3 standard deviations and none above 5."""
+MIN_EXPECTED = 0.5
+"""Part of a response that the model must expect for it to close a sector: one of 5 standard
+deviations by noise, or an outlier, is of a contact out of reach, which tells nothing of the place.
+"""
 NUISANCE_STEPS = 2
 """Newton steps to the best gain and offset at a position: readings are linear in the offset and
 nearly so in the logarithm of the gain."""
@@ -141,8 +145,13 @@ def batches(rows: np.ndarray, copies: int) -> list[np.ndarray]:
 
 def open_sectors(estimator: JointEstimator, points: Array) -> Array:
     """Largest angle (n,), rad, between the directions from taxels at `points` (n, 3) to contacts
-    that they respond to and that are neighbours in direction, in the tangent plane."""
-    taxel, contact, _ = responses(estimator)
+    that they respond to, as the model expects, and that are neighbours in direction, in the tangent
+    plane."""
+    read = estimator.likelihood.readings
+    size = np.sqrt(read.precision) * read.level / estimator.data.sigma
+    expected = estimator.residuals() > (MIN_EXPECTED - 1) * size
+    used = _responding(estimator) & expected
+    taxel, contact = read.taxel[used], read.contact[used]
     frames = estimator.problem.parametrization.rotations()[taxel]
     offset = estimator.problem.contacts.data.points[contact] - points[taxel]
     x, y, _ = np.einsum("kij,ki->jk", frames, offset)
@@ -163,12 +172,17 @@ def open_sectors(estimator: JointEstimator, points: Array) -> Array:
 def responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array]:
     """Taxel, contact and level (k,), Pa, of the observed readings that are neither outlying nor
     noise; of all that are not outlying for a taxel without any."""
+    read, used = estimator.likelihood.readings, _responding(estimator)
+    return read.taxel[used], read.contact[used], read.level[used]
+
+
+def _responding(estimator: JointEstimator) -> np.ndarray:
+    """The readings (k,) bool of `responses`."""
     read = estimator.likelihood.readings
     sound = (read.kind == OBSERVED) & (read.weight > 0.5)
     strong = sound & (read.level > RESPONSE_SIGMAS * estimator.data.sigma)
     weak = np.bincount(read.taxel[strong], minlength=len(estimator.live)) == 0
-    used = strong | (sound & weak[read.taxel])
-    return read.taxel[used], read.contact[used], read.level[used]
+    return np.asarray(strong | (sound & weak[read.taxel]))
 
 
 def part_on_sheet(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Array:

@@ -54,6 +54,28 @@ def test_a_flat_optimum_is_as_wide_as_its_likelihood(monkeypatch):
     assert across @ flat @ axis == pytest.approx(0.0, abs=1e-15)
 
 
+@pytest.mark.parametrize("bend", [-4.0, 0.0, 4.0, 12.0])
+def test_a_flat_optimum_that_bends_is_as_wide_as_along_its_ridge(bend, monkeypatch):
+    """Two optima six standard deviations apart, one 5 times (in cost 2) less likely, on a ridge
+    that bends by `bend` standard deviations across on the way: beyond 3 a straight line leaves it.
+    """
+    sigma, breadth, less = 0.05e-3, 0.005e-3, 2.0
+
+    def odds(estimator, rows, first, second):
+        x, y = (second[0] - first[0])[:, :2].T / [[sigma], [breadth]]
+        along = x**2 * (1 - x / 6) ** 2 / 2 + less * np.clip(x / 6, 0, None) ** 2
+        return along + (y - bend * (x / 6) ** 2) ** 2 / 2
+
+    monkeypatch.setattr(likelihood_widths, "log_odds_between", odds)
+    monkeypatch.setattr(likelihood_widths, "_contact_centres", nowhere)
+    narrow = np.diag([sigma, breadth])[None] ** 2
+    found = likelihood_widths.widened(estimator_of(1, monkeypatch), narrow, 1.0)[0]
+    other = np.array([6 * sigma, bend * breadth])
+    assert np.sqrt(found[0, 0]) == pytest.approx(6 * sigma / np.sqrt(2 * less), rel=1e-6)
+    assert other @ np.linalg.inv(found) @ other < 2 * 2 * less * (1 + 1e-6)
+    assert np.sqrt(found[1, 1]) < max(1.0, abs(bend)) * breadth * (1 + 1e-6)
+
+
 @pytest.mark.parametrize("around", [True, False])
 def test_a_taxel_seen_from_one_place_is_as_wide_as_the_arc(around, monkeypatch):
     """The distance from contacts at nearly one place is known to 0.02 mm, the arc length to 1.5 mm,
@@ -79,5 +101,9 @@ def test_a_taxel_seen_from_one_place_is_as_wide_as_the_arc(around, monkeypatch):
     if around:
         assert 0.8 * along < wide < 1.1 * along
     else:
-        assert wide < 0.6e-3
-    assert np.sqrt(found[1, 1]) == pytest.approx(sigma)
+        assert wide < 0.8 * along
+    sigmas = np.array([-2.0, -1.0, 1.0, 2.0])  # of places on the arc; along each axis no more
+    turned = along / radius * sigmas[:, None]
+    places = radius * np.hstack([np.sin(turned), np.cos(turned) - 1])
+    far = np.sqrt(np.einsum("ki,ij,kj->k", places, np.linalg.inv(found), places))
+    assert (far < np.sqrt(2) * np.abs(sigmas)).all() == around

@@ -148,21 +148,26 @@ def test_a_rival_is_found_without_knowing_the_noise(line):
     assert rival < 0.6e-3 or np.linalg.norm(blind.rivals[far] - calibration.positions[far]) < 0.6e-3
 
 
-@pytest.mark.parametrize(("level", "sector"), [(4.9, 180.0), (5.1, 90.0)])
-def test_noise_closes_no_open_sector(level, sector):
+@pytest.mark.parametrize(
+    ("level", "expected", "sector"), [(4.9, 4.9, 180.0), (5.1, 5.1, 90.0), (5.1, 0.0, 180.0)]
+)
+def test_noise_closes_no_open_sector(level, expected, sector):
     """Contacts to the east and west read 10 standard deviations, those to the north and south
-    `level`; a second taxel reads little, and all of that counts."""
+    `level`, where the model expects `expected`; a second taxel reads little, and all counts."""
     sides = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
     read = replace(
         Readings.none(), contact=np.tile(np.arange(4), 2), taxel=np.repeat([0, 1], 4),
         level=np.array([10.0, level, 10.0, level, 1.0, 1.0, 1.0, 1.0]) * 50.0,
-        kind=np.full(8, OBSERVED), weight=np.ones(8),
+        kind=np.full(8, OBSERVED), weight=np.ones(8), precision=np.full(8, 0.25),
     )  # fmt: skip
+    residuals = np.zeros(8)
+    residuals[[1, 3]] = 0.5 * (expected - level)
     frames = np.tile(np.eye(3), (2, 1, 1))
     estimator = SimpleNamespace(
         live=np.arange(2),
         data=SimpleNamespace(sigma=50.0),
         likelihood=SimpleNamespace(readings=read),
+        residuals=lambda: residuals,
         problem=SimpleNamespace(
             contacts=SimpleNamespace(data=SimpleNamespace(points=sides)),
             parametrization=SimpleNamespace(rotations=lambda: frames),
