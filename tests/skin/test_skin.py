@@ -260,6 +260,17 @@ def test_no_taxel_is_where_two_parts_touch():
     assert not ((x < 0.0259) & (y < 0.0239) & (z < 1e-3)).any()
 
 
+def test_a_sheet_below_another_one_is_covered_too():
+    """Open sheets 5 cm apart, which close to bodies that contain each other."""
+    sheet = trimesh.creation.box((0.1, 0.1, 0.02)).subdivide_to_size(0.02)
+    sheet.update_faces(sheet.face_normals[:, 2] > 0.9)
+    above = sheet.copy()
+    above.apply_translation((0.0, 0.0, 0.05))
+    body = Body.from_mesh(trimesh.util.concatenate([sheet, above]), open=True)
+    low = Skin.cover(body, spacing=5e-3, seed=1).positions[:, 2] < 0.03
+    assert 0.45 < np.mean(low) < 0.55
+
+
 def test_a_small_part_at_the_centre_does_not_hold_all_taxels():
     """The outermost point is on a button: the taxels nearest to it are on the ball, too."""
     button = trimesh.creation.icosphere(subdivisions=3, radius=0.01)
