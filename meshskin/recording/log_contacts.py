@@ -18,7 +18,7 @@ from ..core.errors import RecordingError, UnknownNameError
 from ..robot.contact_kinematics import JointPath
 from .recording import CONTACTS, JOINT_ANGLES, NOMINAL, READINGS, Recording
 from .skin_log import SkinLog
-from .tare import MAD
+from .tare import SIGMA_PER_MAD
 
 NOMINAL_FORCE = 1.0
 """Force, N, where neither log nor belief has one: the learned response scales with it."""
@@ -85,7 +85,7 @@ def _check_forces(force: Array, in_contact: np.ndarray) -> None:
     if in_contact.sum() < MIN_JUDGED:
         return
     steps = np.abs(np.diff(force[np.isfinite(force)]))
-    noise = MAD * float(np.median(steps)) / np.sqrt(2.0)
+    noise = SIGMA_PER_MAD * float(np.median(steps)) / np.sqrt(2.0)
     middle = float(np.median(force[in_contact]))
     if middle < -noise:
         raise RecordingError(

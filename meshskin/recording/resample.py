@@ -15,7 +15,7 @@ from .log_map import LogMap, StreamMap
 from .skin_log import SkinLog
 from .stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, overlap
 from .stream_checks import check_single, without_garbage
-from .tare import BLOCK, COLUMNS, MAD, MIN_REST, Tared, at_rest, tare
+from .tare import BLOCK, COLUMNS, MIN_REST, SIGMA_PER_MAD, Tared, at_rest, tare
 
 REST_SIGMAS = 3.0
 """Force in standard deviations of its noise at rest, up to which it counts as zero."""
@@ -276,7 +276,7 @@ def _force_at_rest(
     if len(force) < max(MIN_REST * len(stream), 1):
         return []
     level = float(np.median(force))
-    if abs(level) <= REST_SIGMAS * MAD * float(np.median(np.abs(force - level))):
+    if abs(level) <= REST_SIGMAS * SIGMA_PER_MAD * float(np.median(np.abs(force - level))):
         return []
     return [
         f"the force of {stream.name} is {level:.3g} N in the median of {len(force)} rows in which "

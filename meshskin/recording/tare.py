@@ -43,7 +43,7 @@ SKEWED = 3.0
 alone has 1, pressed taxels 10 and more."""
 PASSES = 3
 """Times that levels and contacts are found in turn; they do not change after the second."""
-MAD = 1.4826
+SIGMA_PER_MAD = 1.4826
 """Standard deviation of a normal variable per median absolute deviation."""
 
 
@@ -159,7 +159,7 @@ def _noise(values: NDArray[np.number]) -> Array:
     """Standard deviation of a reading at rest from the differences of consecutive ones, and the
     smallest that it can be, (2, t): that of the rounding, and FLOOR."""
     steps = np.abs(np.diff(values.astype(float), axis=0))
-    noise = MAD * np.median(steps, axis=0) / np.sqrt(2.0)
+    noise = SIGMA_PER_MAD * np.median(steps, axis=0) / np.sqrt(2.0)
     span = np.ptp(values.astype(float), axis=0)
     smallest = np.min(steps, axis=0, where=steps > 0, initial=np.inf)
     step = np.where(np.isfinite(smallest), smallest, 0.0)

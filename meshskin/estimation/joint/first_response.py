@@ -29,7 +29,8 @@ five of eight steps of all taxels, and takes seven of its own (studies/speed/joi
 
 def with_first_response(effects: RandomEffects) -> RandomEffects:
     """The estimate with the global parameters and variances that a part of the taxels has; as it is
-    where taxels are few, contacts move, readings drift, or the part does not converge."""
+    where taxels are few, contacts move, readings drift, or the part is singular or does not
+    converge."""
     u, chosen, parameters = effects.unknowns, PARTS * SIZE, effects.data.parameters
     drifts = {*WARMING, "drift"} & {*parameters.names, *parameters.nuisance_names}
     if len(u.nuisance) < LEAST * chosen or parameters.move_contacts or drifts:
