@@ -16,7 +16,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from ...contact.reading import same_sheet
-from ...core.arrays import Array, ranges
+from ...core.arrays import Array, means_by_group, ranges
 from .joint_estimator import JointEstimator
 from .likelihood import Likelihood
 from .parametrization import SurfaceParametrization
@@ -29,6 +29,9 @@ T = TypeVar("T")
 OPEN_SECTOR = np.radians(150.0)
 """Angle between the directions from a taxel to neighbouring contacts up to which its optimum is
 unique: it lies among its contacts. All rivals found on robot links had more than 190 degrees."""
+FACING = 0.5
+"""Mean cosine between the normals at a taxel and at its contacts below which all directions are
+open: the taxel is on another face, whose tangent plane does not show where the contacts are."""
 DIRECTIONS = 8
 """Starting points on the ring about the contacts."""
 RING = 0.8
@@ -146,7 +149,7 @@ def batches(rows: np.ndarray, copies: int) -> list[np.ndarray]:
 def open_sectors(estimator: JointEstimator, points: Array) -> Array:
     """Largest angle (n,), rad, between the directions from taxels at `points` (n, 3) to contacts
     that they respond to, as the model expects, and that are neighbours in direction, in the tangent
-    plane."""
+    plane; 2 pi where their normals are far from the taxel's."""
     read = estimator.likelihood.readings
     size = np.sqrt(read.precision) * read.level / estimator.data.sigma
     expected = estimator.residuals() > (MIN_EXPECTED - 1) * size
@@ -161,12 +164,15 @@ def open_sectors(estimator: JointEstimator, points: Array) -> Array:
     found = np.full(len(points), 2 * np.pi)
     if not len(taxel):
         return found
+    normals = estimator.problem.contacts.data.normals[contact]
+    cosine = np.einsum("ki,ki->k", frames[:, :, 2], normals)
+    facing = means_by_group(cosine, taxel, len(points)) >= FACING
     met, begin = np.unique(taxel, return_index=True)
     last = np.append(begin[1:], len(taxel)) - 1
     gap = np.diff(angle, append=0.0)
     gap[last] = angle[begin] + 2 * np.pi - angle[last]  # back to the first direction
     found[met] = np.maximum.reduceat(gap, begin)
-    return found
+    return np.where(facing, found, 2 * np.pi)
 
 
 def responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array]:
