@@ -156,9 +156,13 @@ class InsideOutside:
             rows = np.flatnonzero(self.mixed[face])
             found[rows] = self._winding.outward * self._in_front_at(face[rows], uv[rows]) > 0
         elif found.any():
-            bare = WindingNumber(self._vertices, self.faces, close=False)
-            found[found] = self._in_front(bare)[face[found]] > 0
+            found[found] = self._bare_level[face[found]] > 0
         return np.asarray(found)
+
+    @cached_property
+    def _bare_level(self) -> NDArray[np.int64]:
+        """Winding numbers (m,) in front of the faces without the closures of the borders."""
+        return self._in_front(WindingNumber(self._vertices, self.faces, close=False))
 
     @cached_property
     def covers(self) -> bool:
