@@ -224,7 +224,11 @@ class Estimation:
     @cached_property
     def least_squares(self) -> EstimatorResult:
         """Trilateration by least squares over all circles of each taxel."""
-        return trilaterate.least_squares(self.data)
+        return trilaterate.least_squares(self._circled)
+
+    @cached_property
+    def _circled(self) -> Measurements:
+        return trilaterate.with_noise_off_edges(self.data)
 
     def trilateration(self, stage: Stage) -> EstimatorResult:
         """`least_squares`, with covariances scaled by the residuals where the noise is unknown."""
@@ -232,7 +236,7 @@ class Estimation:
 
     def three_circles(self, stage: Stage) -> EstimatorResult:
         """Trilateration by three chosen circles, scaled as `trilateration`."""
-        return self._scaled(trilaterate.three_circles(self.data))
+        return self._scaled(trilaterate.three_circles(self._circled))
 
     def eq15(self, stage: Stage) -> EstimatorResult:
         """The paper's trilateration as printed."""
@@ -252,13 +256,13 @@ class Estimation:
 
     def _scaled(self, fit: EstimatorResult) -> EstimatorResult:
         trilaterate.require_any(fit)
-        scale = 1.0 if self.data.noise is not None else float(np.nanmedian(fit.chi2))
+        scale = 1.0 if self._circled.noise is not None else float(np.nanmedian(fit.chi2))
         return replace(fit, covariance=fit.covariance * (scale if np.isfinite(scale) else 1.0))
 
     @cached_property
     def _shared_contacts(self) -> SharedContacts:
         trilaterate.require_any(self.least_squares)
-        return SharedContacts(self.data, self.least_squares)
+        return SharedContacts(self._circled, self.least_squares)
 
     def _measured(self, stage: Stage, trilateration: Trilateration) -> Displacements:
         """The displacements by a trilateration of both taxels of each pair."""

@@ -98,6 +98,19 @@ def least_squares(data: Measurements) -> EstimatorResult:
     return _result(found, charts, information, chi2)
 
 
+def with_noise_off_edges(data: Measurements) -> Measurements:
+    """The measurements with the noise that the circles of contacts off the body's edges show.
+
+    Over edges the readings have an error of their own, which their residuals do not scale. The same
+    where the noise is known, where no contact is over an edge, and where too few are off edges.
+    """
+    if data.noise is not None or not data.edges:
+        return data
+    chi2 = least_squares(data.select(data.unevenness[data.contact] == 0)).chi2
+    chi2 = chi2[np.isfinite(chi2)]
+    return replace(data, noise=data.sigma * float(np.median(chi2)) ** 0.5) if len(chi2) else data
+
+
 def three_circles(data: Measurements) -> EstimatorResult:
     """Each taxel from three of its circles: steep ones about well-separated contacts.
 

@@ -14,6 +14,7 @@ import trimesh
 
 import meshskin as ms
 from meshskin.estimation.data.gather import gather
+from meshskin.estimation.trilateration.trilaterate import with_noise_off_edges
 from meshskin.recording.recording import CONTACTS, READINGS, Recording
 
 FACES, APOTHEM, INDENTER, DISC, STIFFNESS, FORCE, PITCH = 6, 0.04, 6e-3, 2e-3, 3e8, 2.0, 5e-3
@@ -44,7 +45,7 @@ def overlap(centre, points, normals):
 
 
 @cache
-def recording(seed=0, count=150):
+def recording(seed=0, count=150, noise=0.01):
     """Taps at random places about an edge, raw readings in a unit of their own."""
     rng = np.random.default_rng(seed)
     arc = rng.uniform(ARC.min() - 3e-3, ARC.max() + 1e-3, count)
@@ -68,7 +69,7 @@ def recording(seed=0, count=150):
         centre, *(np.broadcast_to(x.reshape(shape), (count, x.size // 3, 3)) for x in felt)
     )
     reading = reading.reshape(count, len(ARC), -1).mean(axis=2)
-    noise = 0.01 * np.median(reading.max(axis=0))
+    noise *= np.median(reading.max(axis=0))
     reading += noise * rng.standard_normal(reading.shape)
     contact, taxel = np.nonzero(reading > 3 * noise)
     time = 0.02 * np.arange(count)
@@ -133,12 +134,26 @@ def test_taxels_beside_an_edge_under_a_contact_model(belief, contact):
     assert found.position_sigma[far & placed].max() < 0.1e-3
 
 
-def test_trilateration_beside_an_edge(belief):
-    believed = contact_model(belief, "elliptic")
-    found = ms.calibrate(recording(1), believed, method="trilateration")
+@pytest.mark.parametrize("method", ["trilateration", "posegraph", "posegraph_isotropic"])
+def test_circles_beside_an_edge(belief, method):
+    """Residuals of contacts off the edge do not scale the deviations of those over it: the pose
+    graphs were 8 and 10 standard deviations off."""
+    found = ms.calibrate(recording(1), contact_model(belief, "elliptic"), method=method)
     off = np.linalg.norm(found.positions - on_prism(ARC, HEIGHT)[0], axis=1)
     placed = np.isfinite(off)
-    assert (off[placed] / found.position_sigma[placed]).max() < 5.0
+    assert placed.sum() > 9
+    assert (off[placed] / found.position_sigma[placed]).max() < 4.0
+
+
+def test_noise_by_circles_off_edges(belief):
+    believed = contact_model(belief, "elliptic")
+    noisy, more = (gather(recording(1, noise=noise), believed) for noise in (0.03, 0.06))
+    assert noisy.noise is None
+    ratio = with_noise_off_edges(more).noise / with_noise_off_edges(noisy).noise
+    assert ratio == pytest.approx(2.0, rel=0.15)
+    known = believed.with_(noise_sigma=2e3)
+    data = gather(recording(1), known)
+    assert with_noise_off_edges(data) is data
 
 
 def narrow(recording, width):
