@@ -35,6 +35,7 @@ from .estimation.comparison import METHODS, Comparison, compare_methods, worse_t
 from .estimation.demonstration import Demonstration, demonstrate
 from .estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from .estimation.uncertainty import metrics as truth
+from .exploration.left_out import coverage
 from .exploration.plan import plan_exploration
 from .recording.recording import Recording
 from .scene.scene import Scene
@@ -265,6 +266,7 @@ def _assess(
         "scene": scene.name,
         "taxels": len(calibration.ids),
         "touched": int(calibration.touched.sum()),
+        "coverage": coverage(len(skin), recording.metadata.get("unreachable", {})),
         "contacts": len(recording.time),
         "readings": len(recording.pressure),
         "position_error_mm": truth.summary_mm(truth.position_errors(calibration, skin)),

@@ -191,5 +191,7 @@ def _left_out(m: dict[str, Any], folder: Path, unreachable: dict[str, str]) -> l
     lines = [_row(k, f"no time for {', '.join(names)}") for k, names in missing.items() if names]
     if lines:
         lines.append(_row("to add them", f"meshskin report {folder}"))
+    counts = "planned {planned}, reached {reached}, given up {given_up}"
+    lines.append(_row("taxels", counts.format_map(m["coverage"])))
     reasons = Counter(unreachable.values()).most_common()
     return lines + [_row("not reached", f"{n} taxel{'s' * (n > 1)}: {why}") for why, n in reasons]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from ..scene.scene import Scene
 from ..skin.skin import Skin
 from . import reach
 from .lanes import MAX_SPACING
-from .path import Path
+from .path import ROWS, Path
 from .pressing import lighter_helps
 
 ENOUGH = 4
@@ -32,6 +34,8 @@ NOT_COVERED = "no contact passes near it"
 ONE_LINE = "contacts pass near it along one line only"
 SPARSE = NOT_COVERED, ONE_LINE
 """Beginnings of the reasons that closer lanes remove."""
+GIVEN_UP = "given up: "
+"""Beginning of the reasons of taxels that the plan reaches and the run did not."""
 
 
 Blocked = tuple[Array, Array]
@@ -79,6 +83,43 @@ def other_contact(scene: Scene, left_out: dict[int, str]) -> str:
     what = "a lighter force" if best.radius == found[0].radius else "another indenter"
     words = reach.recommendation(found)
     return f"use {what}: {words} (part of the taxels, without the limits of the arm)"
+
+
+def without_parts(
+    skin: Skin, radius: float, path: Path, parts: list[tuple[int, slice, str]]
+) -> dict[int, str]:
+    """The reason for each taxel, by id, that a path covers, and does not without some parts.
+
+    parts: segment, its rows, and why they are left out. radius, m: as of `taxels_left_out`.
+    """
+    segments, blocked = path.segments, list[Blocked]()
+    kept = [np.ones(len(segment.points), dtype=bool) for segment in segments]
+    for place, rows, why in parts:
+        kept[place][rows] = False
+        points = segments[place].points[rows]
+        blocked.append((points, np.full(len(points), why, dtype=object)))
+    rest = [
+        replace(segment, **{name: getattr(segment, name)[rows] for name in ROWS})
+        for segment, rows in zip(segments, kept, strict=True)
+        if rows.any()
+    ]
+    before = taxels_left_out(skin, radius, segments, [])
+    now = taxels_left_out(skin, radius, rest, blocked)
+    return {
+        taxel: why
+        for taxel, why in now.items()
+        if taxel not in before and taxel not in path.unreachable
+    }
+
+
+def coverage(taxels: int, unreachable: Mapping[str, str]) -> dict[str, int]:
+    """Of a number of taxels, how many a plan reaches, a run reached, and the run gave up.
+
+    unreachable: the reason for each taxel that was not reached.
+    """
+    given_up = sum(why.startswith(GIVEN_UP) for why in unreachable.values())
+    reached = taxels - len(unreachable)
+    return {"planned": reached + given_up, "reached": reached, "given_up": given_up}
 
 
 def taxels_left_out(

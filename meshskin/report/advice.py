@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from ..estimation.uncertainty.metrics import is_ideal, nees_band
+from ..exploration.left_out import GIVEN_UP
 from .data import ReportData, has_gauge_freedom
 from .markup import paragraphs, table
 from .theme import significant
@@ -136,8 +137,12 @@ def _contacts(data: ReportData) -> list[str]:
     reason_of = np.array([reasons.get(str(k), "") for k in ids.tolist()], dtype=object)
     left_out = (untouched | weak) & (reason_of != "")
     for reason in dict.fromkeys(reason_of[left_out]):
+        these = _named(ids[left_out & (reason_of == reason)])
+        if reason.startswith(GIVEN_UP):
+            steps.append(f"The run lost the contacts of {these}: {reason.removeprefix(GIVEN_UP)}.")
+            continue
         steps.append(
-            f"The plan does not reach {_named(ids[left_out & (reason_of == reason)])} ({reason}): "
+            f"The plan does not reach {these} ({reason}): "
             "try a smaller indenter, less force or another mount, or leave them out."
         )
     untouched, weak = untouched & ~left_out, weak & ~left_out

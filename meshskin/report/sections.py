@@ -45,6 +45,9 @@ COST_HINT = (
 )
 METRIC_NOTES = {
     "touched": "taxels with at least one reading",
+    "coverage.planned": "taxels that the plan reaches",
+    "coverage.reached": "taxels that the run reached",
+    "coverage.given_up": "taxels that the plan reaches and the run gave up",
     "contacts": "frames with contact",
     "readings": "of single taxels, above the threshold",
     "crlb_mm.mean": "Cramér-Rao bound: lowest mean error of an unbiased estimate",

@@ -19,10 +19,11 @@ import pyarrow as pa
 from .. import effects
 from ..core import arrow
 from ..core.arguments import check_type
-from ..core.errors import ConfigError, SkinError, warn_left_out
+from ..core.errors import ConfigError, PlaceError, ReachError, SkinError, warn_left_out
 from ..core.progress import Progress, Stage
 from ..core.provenance import provenance
 from ..core.se3 import inverse
+from ..exploration.left_out import GIVEN_UP, without_parts
 from ..exploration.path import Path as ExplorationPath
 from ..exploration.path import start_configuration
 from ..exploration.plan import plan_exploration
@@ -63,7 +64,9 @@ def simulate(
     the effects of an earlier run, to continue instead of new ones of the seed. A carried indenter
     is pressed once at each contact of the plan, at rest at the plan's force. Warns where the
     contact force leaves its reference after settling (`response.describe_departure`), where parts
-    of the path are given up, and where taxels are not reached (LeftOutWarning). Raises ReachError
+    of the path are given up, and where taxels are not reached (LeftOutWarning); the recording's
+    metadata hold their ids with the reasons (`unreachable`; of parts that were given up, the
+    reason begins with "given up"), and the reason of each such part (`given_up`). Raises ReachError
     if the arm cannot follow the path, SimulationError if the loop fails, ConfigError for a scene
     whose budget has not been resolved.
 
@@ -94,7 +97,7 @@ def simulate(
         with RecordingWriter(out, _metadata(scene, path, seed)) as writer:
             for contacts, readings, motion in batches:
                 writer.write(contacts=contacts, readings=readings, motion=motion)
-            writer.metadata |= _performance(simulator)
+            writer.metadata |= _performance(scene, simulator, path)
         recording = Recording.load(out)
     else:
         recording = record_steps(scene, simulator, path, steps, seed, chain)
@@ -124,7 +127,7 @@ def record_steps(
     """The recording of the steps of a simulator along a path; seed and chain as of `simulate`."""
     batches = _tables(scene, chain or effect_pipeline(scene, seed), simulator.loop, steps)
     contacts, readings, motion = (pa.concat_tables(part) for part in zip(*batches, strict=True))
-    metadata = _metadata(scene, path, seed) | _performance(simulator)
+    metadata = _metadata(scene, path, seed) | _performance(scene, simulator, path)
     return Recording(contacts, readings, metadata, motion)
 
 
@@ -234,16 +237,24 @@ def run(
             progress("simulate", machine.done, len(path.points))
 
 
-def _performance(simulator: Simulator) -> dict[str, Any]:
-    """Rate of the loop, estimated error of the force, steps at each joint's torque limit, and why
-    parts of the path were given up."""
+def _performance(scene: Scene, simulator: Simulator, path: ExplorationPath) -> dict[str, Any]:
+    """Rate of the loop, estimated error of the force, steps at each joint's torque limit, why
+    parts of the path were given up, and the taxels that were not reached without them."""
     names = simulator.loop.arm.joint_names[: simulator.loop.joints]
+    parts = [(part.place, part.rows, _why(part.error)) for part in simulator.given_up]
+    lost = without_parts(scene.skin, scene.rig.sensing_radius, path, parts) if parts else {}
     return {
+        "unreachable": _unreachable(path) | {str(taxel): why for taxel, why in lost.items()},
         "steps_per_second": simulator.steps_per_second,
         "force_error": simulator.touch_error() if simulator.touch_error else None,
-        "given_up": simulator.given_up,
+        "given_up": [str(part) for part in simulator.given_up],
         "torque_limited_steps": dict(zip(names, simulator.saturated.tolist(), strict=True)),
     }
+
+
+def _why(error: PlaceError | ReachError) -> str:
+    """Why a part of the path was given up, without where and when, as the reason of its taxels."""
+    return "; ".join(filter(None, (f"{GIVEN_UP}{error.what}", error.remedy)))
 
 
 def _tables(

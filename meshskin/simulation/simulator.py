@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
 from ..core.arrays import Array
-from ..core.errors import EdgeError, ReachError, SimulationError
+from ..core.errors import EdgeError, PlaceError, ReachError
+from ..core.se3 import poses_of_states
 from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
 from ..geometry.surface.surface import EDGE_COSINE
@@ -30,6 +31,26 @@ EDGE_WEIGHT = 1e-6
 """Barycentric weight below which a foot point counts as on a side of its face."""
 AT_LIMIT = 1.0 - 1e-9
 """Part of the torque limit from which a torque counts as at the limit."""
+UNIT = 1e-4
+"""Error of a unit normal from which a patch counts as folded at the foot point. Rounding reaches
+1e-10 on a face of 86 mm by 0.2 mm; on a sphere of 10 mm this error is 1 um of depth."""
+MAX_FLIGHT = 4.0
+"""Way in one block of steps, in extents of the body, beyond which a body without an arm has flown
+off: a block lasts for half a second at steps of 1 ms, in which an approach makes 5 cm."""
+
+
+@dataclass(frozen=True)
+class GivenUp:
+    """A part of the path that was given up."""
+
+    place: int
+    rows: slice
+    """Rows of the place's track."""
+    error: PlaceError | ReachError
+    """Why."""
+
+    def __str__(self) -> str:
+        return str(self.error)
 
 
 class Simulator:
@@ -93,8 +114,8 @@ class Simulator:
         """Steps (n,) at which each joint's torque was at its limit."""
         self.relocations = 0
         """How often the foot point left the path's faces and was searched for on the mesh."""
-        self.given_up: list[str] = []
-        """Why parts of the path were given up, one reason a part."""
+        self.given_up: list[GivenUp] = []
+        """Parts of the path that were given up."""
         self.state[:] = 0.0
         self.state[: self.size], self.state[-2:] = self.start, self._first_contact.uv[0]
         self.face = int(self._first_contact.face[0])
@@ -117,8 +138,10 @@ class Simulator:
 
         until_touch: end with the first step in contact. track_normal: follow the path along the
         normal, too, instead of controlling the force. speed_fraction: part of the approach speed
-        that the law may ask for. Raises SimulationError where a number is not finite, ReachError
-        where a joint leaves its range, EdgeError where the contact runs over an edge.
+        that the law may ask for. Ends where the patch under the contact folds. Raises PlaceError
+        where a number is not finite, a body without an arm flies off, or the patch folds at once,
+        ReachError where a joint leaves its range; the state is then that before. Raises EdgeError
+        where the contact runs over an edge.
         """
         started = perf_counter()
         short = until_touch or self._off_path
@@ -131,13 +154,17 @@ class Simulator:
             states, outputs = self.rollout.run(self.state, placed, self._parameters, until_touch)
         except RuntimeError as error:
             raise self._diverged(self.state, str(error).strip().splitlines()[-1]) from error
-        count, outputs = len(outputs), outputs.copy()
+        count = self._unfolded(outputs)
+        folded, outputs, states = count < len(outputs), outputs[:count].copy(), states[: count + 1]
         self._check(states[1:], outputs)
+        if not self.loop.joints:
+            self._check_flight(states[-1])
         q, time = states[:-1, : self.size].copy(), self._times(count)
         self.steps += count
         self.state[:] = states[-1]
         self.face = int(placed.faces[count - 1])
-        if not face_margin(self.state[-2:]) >= (0.0 if self._off_path else -FACE_MARGIN):
+        margin = 0.0 if self._off_path else -FACE_MARGIN
+        if folded or not face_margin(self.state[-2:]) >= margin:
             self._relocate()
         elif self._off_path:
             self._rejoin(int(track.faces[count - 1]))
@@ -156,8 +183,8 @@ class Simulator:
         """Move exactly along configurations `q` (k, n), one row a step, and end at rest.
 
         This is the motion under the joints' own controllers. It may start in contact. Raises
-        SimulationError where the body meets the indenter on the way, ReachError where a joint
-        leaves its range.
+        PlaceError where the body meets the indenter on the way, ReachError where a joint leaves
+        its range.
         """
         loop = self.loop
         hit, depth = transfer.penetration(loop, self.body, loop.body_poses(q))
@@ -169,9 +196,9 @@ class Simulator:
         self._check(states, outputs)
         collides = (depth > 0) & ~np.logical_and.accumulate(depth > 0)
         if collides.any():
-            raise SimulationError(
-                f"the body meets the indenter in the air at {self._at(states[-1])}",
-                value=f"{depth[collides].max() * 1e3:.3g} mm deep",
+            raise PlaceError(
+                "the body meets the indenter in the air",
+                value=f"{depth[collides].max() * 1e3:.3g} mm deep at {self._at(states[-1])}",
                 remedy="raise exploration.standoff_mm",
             )
         time = self._times(len(q))
@@ -203,8 +230,9 @@ class Simulator:
         offset = centre - hit.point[0]
         if hit.normal[0] @ offset < EDGE_COSINE * np.linalg.norm(offset):
             raise EdgeError(
-                f"the contact ran over an edge of the body at {self._at(self.state)}",
-                value=f"contact point {np.round(hit.point[0], 4).tolist()} m",
+                "the contact ran over an edge of the body",
+                value=f"contact point {np.round(hit.point[0], 4).tolist()} m at "
+                f"{self._at(self.state)}",
                 remedy="keep the exploration off the edge, or round the edge in the mesh",
             )
         self.face, self.state[-2:] = self._facing(hit, offset)
@@ -230,6 +258,23 @@ class Simulator:
         uv = map_foot(self._face_map(self.face, face), self.state[-2:])
         self._off_path = bool(face_margin(uv) < -FACE_MARGIN / 2)
 
+    def _unfolded(self, outputs: Array) -> int:
+        """Number of the first rows of outputs (k, m) with a contact: beyond its face a patch may
+        fold, and has no normal there. Raises PlaceError where there are none.
+        """
+        normals = outputs[:, self.loop.outputs["normal"]]
+        folded = np.abs(np.einsum("ki,ki->k", normals, normals) - 1.0) > 2.0 * UNIT
+        count = int(np.argmax(folded)) if folded.any() else len(outputs)
+        if count == 0:
+            raise PlaceError(
+                "the surface under the contact folds",
+                value=f"a face of {1e6 * self.body.mesh.area_faces[self.face]:.3g} mm2 at "
+                f"{self._at(self.state)}",
+                remedy="mend the long thin triangles there (Body.skinned), or leave that part of "
+                "the body out of the skin's region",
+            )
+        return count
+
     def _check(self, states: Array, outputs: Array) -> None:
         """Count torques at their limits; raise if a number is not finite or a joint is out."""
         n, arm = self.loop.joints, self.loop.arm
@@ -253,15 +298,28 @@ class Simulator:
             remedy="move indenter.position_m or change the mount",
         )
 
+    def _check_flight(self, state: Array) -> None:
+        """Raise PlaceError where a body without an arm is far from where it was."""
+        poses = poses_of_states(np.stack([self.state, state]))
+        before, now = poses @ np.append(self.body.mesh.bounds.mean(axis=0), 1.0)
+        way, limit = float(np.linalg.norm(now - before)), MAX_FLIGHT * self.body.surface.scale
+        if way > limit:
+            raise PlaceError(
+                "the body flew off its path",
+                value=f"{way:.3g} m at once at {self._at(self.state)}",
+                limit=f"{limit:.3g} m",
+                remedy="keep the exploration to smooth parts of the body, or lower law.gamma",
+            )
+
     def _at(self, state: Array, ahead: int = 0) -> str:
         """Time and configuration of a state, `ahead` steps from now, for messages."""
         what = "q" if self.loop.joints else "position and quaternion"
         angles = np.round(state[: self.size], 4).tolist()
         return f"t = {(self.steps + ahead) * self.loop.dt:.4f} s, {what} = {angles}"
 
-    def _diverged(self, state: Array, reason: str, ahead: int = 0) -> SimulationError:
-        return SimulationError(
-            f"the closed loop diverged at {self._at(state, ahead)} ({reason})",
-            value=f"dt = {self.loop.dt} s",
+    def _diverged(self, state: Array, reason: str, ahead: int = 0) -> PlaceError:
+        return PlaceError(
+            f"the closed loop diverged ({reason})",
+            value=f"dt = {self.loop.dt} s at {self._at(state, ahead)}",
             remedy="set a smaller loop.dt_ms or lower gains",
         )

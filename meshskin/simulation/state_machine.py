@@ -18,13 +18,13 @@ import casadi as ca
 import numpy as np
 
 from ..core.arrays import Array
-from ..core.errors import EdgeError, PlaceError, ReachError, SimulationError
+from ..core.errors import EdgeError, PlaceError, ReachError
 from ..core.se3 import interpolate, log_so3, poses_of_states
 from ..scene.settings import Exploration
 from . import transfer
 from .closed_loop_model import state_of_pose
 from .rollout import LENGTHS, Steps
-from .simulator import Simulator
+from .simulator import GivenUp, Simulator
 from .track import Track, reference_poses
 
 PHASES = ("approach", "touch", "hold", "slide", "leave", "next")
@@ -41,8 +41,6 @@ MAX_LIFTS, CLEARANCE_STRIDE = 10, 16.0
 """Doublings of the standoff that are tried for a transfer; steps between its collision checks."""
 SKIP_TIME = 0.2
 """Time along the path that is skipped where it cannot be followed, s."""
-MAX_DEVIATION = 4.0
-"""Distance from the next place, in extents of the body, beyond which the body has flown off."""
 AIR_SPEED, AIR_TURN_RATE = 0.1, 1.0
 """Largest speeds of transfers, m/s and rad/s."""
 
@@ -69,10 +67,6 @@ class ExplorationStateMachine:
         """Reference force (places,), N; None: that of the law."""
         self.place, self.row = 0, 0
         self.phase = APPROACH
-        self.skips = 0
-        """Parts of places that were given up."""
-        self.skipped_rows = 0
-        """Rows of the tracks in these parts."""
         self.explored = False
         """Whether any contact point has followed its track."""
         self.losses = 0
@@ -88,12 +82,11 @@ class ExplorationStateMachine:
 
         Where contact cannot be made or kept, or runs over an edge, a part of the place is given
         up; all of it where the body cannot come to it through the air. Where no place can be
-        explored, raises the error of the last one: PlaceError, or ReachError of an arm on its way
-        there. Where there is one place only, raises PlaceError also if most of it cannot be
-        explored, or for another reason than an edge, or with an arm.
+        explored, raises the error of the last one: PlaceError, or ReachError of an arm. Where there
+        is one place only, raises it also if most of it cannot be explored, or for another reason
+        than an edge, or with an arm.
         """
         simulator = self.simulator
-        failed: PlaceError | ReachError | None = None
         last: Track | None = None  # the one that the contact has followed, and not left
         for place, track in enumerate(self.tracks):
             self.place, self.row, lost = place, 0, 0
@@ -101,10 +94,8 @@ class ExplorationStateMachine:
                 try:
                     yield from self._travel(last, track)
                 except (PlaceError, ReachError) as error:
-                    failed, self.skips = error, self.skips + 1
                     last = None if self.phase == NEXT else last
-                    simulator.given_up.append(str(error))
-                    self.skipped_rows += len(track)
+                    simulator.given_up.append(GivenUp(place, slice(0, len(track)), error))
                     continue
             last = track
             if self.forces is not None:
@@ -117,20 +108,18 @@ class ExplorationStateMachine:
                         lost, self.losses = lost + 1, self.losses + 1
                         if lost > RETRIES:
                             raise self._lost()
-                except PlaceError as error:
+                except (PlaceError, ReachError) as error:
                     edge = isinstance(error, EdgeError) and not simulator.loop.joints
                     if len(self.tracks) == 1 and not edge:
                         raise
-                    failed = error
-                    simulator.given_up.append(str(error))
-                    yield from self._skip(track)
+                    yield from self._skip(track, error)
         most = 0.5 * len(self.tracks[0]) if len(self.tracks) == 1 else np.inf
-        if failed is not None and (not self.explored or self.skipped_rows > most):
-            raise failed
+        rows = sum(part.rows.stop - part.rows.start for part in simulator.given_up)
+        if simulator.given_up and (not self.explored or rows > most):
+            raise simulator.given_up[-1].error
 
-    def _skip(self, track: Track) -> Iterator[Steps]:
+    def _skip(self, track: Track, error: PlaceError | ReachError) -> Iterator[Steps]:
         """Give up the next SKIP_TIME of the track; with an arm, the rest of it."""
-        self.skips += 1
         rows, first = max(round(SKIP_TIME / self.simulator.loop.dt), 1), self.row
         self.row = len(track) if self.simulator.loop.joints else first + rows
         while self.row < len(track):
@@ -139,7 +128,8 @@ class ExplorationStateMachine:
                 break
             except PlaceError:
                 self.row += rows
-        self.skipped_rows += min(self.row, len(track)) - first
+        self.row = min(self.row, len(track))
+        self.simulator.given_up.append(GivenUp(self.place, slice(first, self.row), error))
 
     def _make_contact(self, track: Track) -> Iterator[Steps]:
         """Approach until the first contact, let the force settle, hold."""
@@ -235,14 +225,6 @@ class ExplorationStateMachine:
         """
         simulator = self.simulator
         low = poses_of_states(simulator.state[None])[0]
-        middle = np.append(simulator.body.mesh.bounds.mean(axis=0), 1.0)
-        deviation = np.linalg.norm((low - goal) @ middle)
-        if deviation > MAX_DEVIATION * simulator.body.surface.scale:
-            raise SimulationError(
-                f"the body flew off place {self.place}",
-                value=f"position {np.round(low[:3, 3], 3).tolist()} m",
-                remedy="keep the exploration to smooth parts of the body",
-            )
         high, over = self._clear_poses(low, goal)
         for self.phase, start, end in ((LEAVE, low, high), (NEXT, high, over), (NEXT, over, goal)):
             poses = _blend(start, end, simulator.loop.dt)
@@ -274,8 +256,8 @@ class ExplorationStateMachine:
             if simulator.is_clear(_blend(high, over, dt)):
                 return high, over
         raise PlaceError(
-            f"the body meets the indenter on every path through the air to place {self.place}",
-            value=f"lifts up to {standoff * 2.0 ** (MAX_LIFTS - 1):.3g} m",
+            "the body meets the indenter on every path through the air",
+            value=f"lifts up to {standoff * 2.0 ** (MAX_LIFTS - 1):.3g} m to place {self.place}",
             remedy="keep the exploration off the inside of the body, or raise "
             "exploration.standoff_mm",
         )
@@ -298,9 +280,10 @@ class ExplorationStateMachine:
         return np.asarray(steps.outputs[:, self.simulator.loop.outputs["force"].start])
 
     def _lost(self) -> PlaceError:
+        time = self.simulator.steps * self.simulator.loop.dt
         return PlaceError(
-            f"contact was lost {RETRIES + 1} times at row {self.row} of place {self.place}",
-            value=f"t = {self.simulator.steps * self.simulator.loop.dt:.4f} s",
+            f"contact was lost {RETRIES + 1} times",
+            value=f"row {self.row} of place {self.place} at t = {time:.4f} s",
             remedy="explore slower, or set a larger law.gamma or law.rate",
         )
 

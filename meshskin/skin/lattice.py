@@ -20,7 +20,6 @@ from ..core.arrays import (
     Index,
     far_apart,
     means_by_group,
-    neighbour_distances,
     sums_by_group,
 )
 from ..core.errors import SkinError
@@ -43,6 +42,13 @@ second neighbours (1.73)."""
 ROUNDS, SETTLINGS, STEPS = 4, 4, 12
 """Of relaxing: rounds, after each but the last of which gaps are filled; projections onto the
 surface in a round; steps under the same springs before a projection."""
+OPPOSITE = -0.5
+"""Cosine between the normals of two sites below which they lie on opposite sides of a plate, and
+keep no distance through it: across the edge of a box it is 0, across that of a triangular prism
+-0.5."""
+NEAREST = 16
+"""Sites among which one on the own side of a plate is sought: two rings of a lattice on the
+opposite side have 12 about a point between three sites."""
 MAX_SITES = 1_000_000
 """Largest number of sites of one lattice: more are a wrong unit, and exhaust the memory."""
 _SILENT = Stage()
@@ -80,7 +86,8 @@ class Lattice:
         """Mean distance of nearest neighbours, m, and its relative standard deviation."""
         if len(self) < 2:
             return float("nan"), 0.0
-        near = neighbour_distances(self.at.point)
+        near = _gaps(self.at, self.at.point, self.at.normal, own=True)
+        near = near[np.isfinite(near)]
         return float(near.mean()), float(near.std() / near.mean())
 
 
@@ -130,13 +137,13 @@ def fill(
     faces = regions.face_points(body, np.arange(len(body.surface.faces)), 1)
     faces = faces.take(region.contains(body, faces))
     while len(faces.face):
-        gap = KDTree(sites.at.point).query(faces.point)[0]
+        gap = _gaps(sites.at, faces.point, faces.normal)
         uncovered = gap > 1.5 * spacing
         if not uncovered.any():
             break
         at = faces.take([int(np.argmax(gap))])
         island = Lattice(at, orthonormal_basis(at.normal)[:, :, 0], np.zeros(1))
-        sites = sites.joined(grow(body, region, spacing, island, None, sites.at.point, stage))
+        sites = sites.joined(grow(body, region, spacing, island, None, sites.at, stage))
         faces = faces.take(uncovered)
     return sites
 
@@ -147,21 +154,21 @@ def grow(
     spacing: float,
     first: Lattice,
     count: int | None = None,
-    occupied: Array | None = None,
+    occupied: Closest | None = None,
     stage: Stage = _SILENT,
 ) -> Lattice:
     """The lattice (spacing in m) around a first site, as far as the region is connected.
 
     With `count`, growth stops once the `count` sites nearest to the first are complete. New sites
-    keep their distance from the points `occupied` (k, 3). stage: its steps are the rings.
+    keep their distance from the points `occupied`. stage: its steps are the rings.
     """
-    others = np.zeros((0, 3)) if occupied is None else occupied
+    others = [] if occupied is None else [occupied]
     sites = front = first
     ring = 0
     while len(front):
         ring += 1
         stage.step()
-        full = np.concatenate([others, sites.at.point])
+        full = Closest.concatenate([*others, sites.at])
         fresh = _propose(body, front, full, spacing, MERGE * spacing)
         fresh = fresh.take(region.contains(body, fresh.at))
         least = (ring - 0.01) * ROW * spacing  # a ring of hexagons is at least so far out
@@ -186,7 +193,7 @@ def relax(
             sites = _relax_springs(body, region, sites, spacing)
             stage.step()
         if k < ROUNDS - 1:
-            sites = sites.take(_separated(sites.at.point, MERGE * spacing))
+            sites = sites.take(_separated(sites.at, MERGE * spacing))
             sites = _fill_gaps(body, region, sites, spacing)
     return sites
 
@@ -215,7 +222,7 @@ def _refine(body: Body, region: regions.Region, coarse: Lattice, spacing: float)
     arc_length = 0.5 * (coarse.arc_length[one] + coarse.arc_length[two])
     inside = region.contains(body, at)
     sites = coarse.joined(Lattice(at, tangent, arc_length).take(inside))
-    sites = sites.take(_separated(sites.at.point, MERGE * spacing))
+    sites = sites.take(_separated(sites.at, MERGE * spacing))
     return _fill_gaps(body, region, sites, spacing)
 
 
@@ -223,7 +230,7 @@ def _fill_gaps(body: Body, region: regions.Region, sites: Lattice, spacing: floa
     """The sites, and new ones beside those with fewer than six neighbours, where they fit."""
     ends = np.concatenate(neighbour_pairs(sites, SPRING_REACH * spacing))
     incomplete = np.flatnonzero(np.bincount(ends, minlength=len(sites)) < 6)
-    extra = _propose(body, sites.take(incomplete), sites.at.point, spacing, GAP * spacing)
+    extra = _propose(body, sites.take(incomplete), sites.at, spacing, GAP * spacing)
     return sites.joined(extra.take(region.contains(body, extra.at)))
 
 
@@ -235,7 +242,7 @@ def neighbour_pairs(sites: Lattice, reach: float) -> tuple[Index, Index]:
 
 
 def _propose(
-    body: Body, sites: Lattice, occupied: Array, spacing: float, clearance: float
+    body: Body, sites: Lattice, occupied: Closest, spacing: float, clearance: float
 ) -> Lattice:
     """New sites around `sites`, farther than the clearance (m) from the points `occupied`.
 
@@ -244,20 +251,20 @@ def _propose(
     normal, tangent = sites.at.normal[:, None], sites.tangent[:, None]
     heading = rotate_about(normal, tangent, np.arange(6) * np.pi / 3.0).reshape(-1, 3)
     parent = np.repeat(np.arange(len(sites)), 6)
-    tree = KDTree(occupied)
     flat = sites.at.point[parent] + spacing * heading
-    candidates = np.flatnonzero(tree.query(flat)[0] > 0.5 * clearance)
+    gaps = _gaps(occupied, flat, sites.at.normal[parent])
+    candidates = np.flatnonzero(gaps > 0.5 * clearance)
     parent, heading = parent[candidates], heading[candidates]
     at, tangent = march(body, sites.at.take(parent), heading, sites.tangent[parent], spacing)
-    free = np.flatnonzero(tree.query(at.point)[0] > clearance) if len(candidates) else candidates
+    free = np.flatnonzero(_gaps(occupied, at.point, at.normal) > clearance)
     at, tangent = at.take(free), tangent[free]
     if not len(free):
         return Lattice(at, tangent, np.zeros(0))
-    chosen, group = np.unique(_clusters(at.point, clearance), return_inverse=True)
+    chosen, group = np.unique(_clusters(at, clearance), return_inverse=True)
     merged = body.closest(means_by_group(at.point, group), face=at.face[chosen])
     new = Lattice(merged, onto(tangent[chosen], merged.normal), np.zeros(len(chosen)))
-    keep = np.flatnonzero(tree.query(merged.point)[0] > clearance)
-    return new.take(keep[_separated(merged.point[keep], clearance)])
+    new = new.take(_gaps(occupied, merged.point, merged.normal) > clearance)
+    return new.take(_separated(new.at, clearance))
 
 
 def _relax_springs(body: Body, region: regions.Region, sites: Lattice, spacing: float) -> Lattice:
@@ -284,16 +291,40 @@ def _relax_springs(body: Body, region: regions.Region, sites: Lattice, spacing: 
     return Lattice(after, onto(sites.tangent, after.normal), sites.arc_length)
 
 
-def _clusters(points: Array, radius: float) -> Index:
-    """For each point (n, 3) the first point within the radius that is its own cluster's first."""
-    leader = np.arange(len(points))
-    pairs = KDTree(points).query_pairs(radius, output_type="ndarray")
+def _opposite(one: Array, two: Array) -> NDArray[np.bool_]:
+    """Whether (...) sites with unit normals (..., 3) lie on opposite sides of a plate."""
+    return np.asarray(np.sum(one * two, axis=-1) < OPPOSITE)
+
+
+def _gaps(sites: Closest, points: Array, normals: Array, own: bool = False) -> Array:
+    """Distance (n,), m, from points (n, 3) to the nearest site on the same side of a plate.
+
+    inf where there is none among the NEAREST. normals (n, 3): outward, at the points; own: the
+    points are the sites, and another one is meant.
+    """
+    if not len(points):
+        return np.zeros(0)
+    tree = KDTree(sites.point)
+    gap, nearest = (x[:, -1] for x in tree.query(points, k=[1 + own]))
+    rows = np.flatnonzero(_opposite(normals, sites.normal[nearest]))
+    if len(rows):
+        gaps, near = tree.query(points[rows], k=range(1 + own, min(NEAREST, len(sites.point)) + 1))
+        gaps[_opposite(normals[rows, None], sites.normal[near])] = np.inf
+        gap[rows] = gaps.min(axis=1)
+    return np.asarray(gap)
+
+
+def _clusters(at: Closest, radius: float) -> Index:
+    """For each point the first one within the radius that is its own cluster's first."""
+    leader = np.arange(len(at.point))
+    pairs = KDTree(at.point).query_pairs(radius, output_type="ndarray")
+    pairs = pairs[~_opposite(*(at.normal[end] for end in pairs.T))]
     for a, b in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))].tolist():
         if leader[a] == a and leader[b] == b:
             leader[b] = a
     return leader
 
 
-def _separated(points: Array, radius: float) -> Index:
+def _separated(at: Closest, radius: float) -> Index:
     """Rows, in order, of the points farther than the radius (m) from every row before."""
-    return np.flatnonzero(_clusters(points, radius) == np.arange(len(points)))
+    return np.flatnonzero(_clusters(at, radius) == np.arange(len(at.point)))

@@ -58,6 +58,7 @@ def test_a_run_leaves_everything(run):
 def test_metrics_hold_the_contract_and_the_paper_is_beaten(run):
     m = json.loads((run / "metrics.json").read_text())
     assert m["taxels"] == m["touched"] == 80
+    assert m["coverage"] == {"planned": 80, "reached": 80, "given_up": 0}
     for key in ("position_error_mm", "trilateration", "posegraph", "centroid"):
         assert 0 < m[key]["mean"] <= m[key]["rms"] <= m[key]["max"]
     assert m["position_error_mm"]["mean"] == pytest.approx(m["crlb_mm"]["mean"], rel=0.25)

@@ -414,6 +414,14 @@ def test_taxels_that_the_plan_leaves_out_are_not_to_be_passed(case: SimpleNamesp
     assert "The plan does not reach taxel 13 (edge)" in text
     assert "Pass taxel 14 on both sides" in text
     assert "Extend the contact path to taxel 40" in text
+    lost = {"13": "given up: the contact ran over an edge of the body; round the edge"}
+    text = " ".join(
+        next_steps(replace(f, recording=SimpleNamespace(metadata={"unreachable": lost})))
+    )
+    assert (
+        "The run lost the contacts of taxel 13: the contact ran over an edge of the body; round "
+        "the edge." in text
+    )
 
 
 def test_truth_is_matched_by_id(case: SimpleNamespace) -> None:

@@ -76,7 +76,7 @@ def test_a_way_that_meets_the_indenter_again_is_refused(floating):
     poses = np.tile(pose, (30, 1, 1))
     poses[:, 2, 3] += 5e-3 * np.sin(np.linspace(0.0, np.pi, 30))
     assert not simulator.is_clear(poses)
-    with pytest.raises(SimulationError, match=r"meets the indenter in the air .* 2 mm deep"):
+    with pytest.raises(SimulationError, match=r"meets the indenter in the air, got 2 mm deep"):
         simulator.move(state_of_pose(poses), LEAVE)
     high = transform(exp_so3([[0.3, 0.0, 0.0]]), [[0.0, 0.0, 0.2]])
     assert simulator.is_clear(high)
@@ -104,9 +104,8 @@ def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
             simulator, tracks, Exploration(standoff=5e-3, settle=0.3)
         )
         steps = [s for s in explorer.run() if s.phase == SLIDE]
-        assert len(simulator.given_up) == explorer.skips
-        assert all("ran over an edge" in reason for reason in simulator.given_up)
-        return explorer.skips, sum(len(s.time) for s in steps)
+        assert all("ran over an edge" in str(part) for part in simulator.given_up)
+        return len(simulator.given_up), sum(len(s.time) for s in steps)
 
     monkeypatch.setattr(Simulator, "advance", failing)
     with pytest.raises(PlaceError, match="edge"):

@@ -9,6 +9,7 @@ import pytest
 import meshskin as ms
 from meshskin.core.errors import ReachError, SimulationError
 from meshskin.core.se3 import exp_so3, poses_of_states, transform
+from meshskin.exploration.left_out import coverage
 from meshskin.exploration.path import ROWS, Path
 from meshskin.geometry.region import Cap
 from meshskin.scene.settings import Exploration, Law
@@ -72,7 +73,7 @@ def test_contact_that_is_lost_is_sought_again_where_it_was_lost(prepared, sphere
 def test_contact_that_cannot_be_kept_is_given_up_by_name(prepared, track):
     simulator, _ = prepared("quasi_static")
     explorer = ExplorationStateMachine(simulator, [track[:3000]], SETTINGS)
-    with pytest.raises(SimulationError, match=r"lost 6 times at row \d+ of place 0"):
+    with pytest.raises(SimulationError, match=r"lost 6 times, got row \d+ of place 0"):
         for steps in explorer.run():
             if steps.phase == state_machine.SLIDE:
                 simulator.state[2] += 0.01
@@ -87,7 +88,8 @@ def test_a_place_that_the_body_cannot_come_to_is_given_up(prepared, sphere, trac
     places = [track[:300], replace(within, references=references), track[1500:1800]]
     explorer = ExplorationStateMachine(simulator, places, SETTINGS)
     steps = [s for s in explorer.run() if s.phase == state_machine.SLIDE]
-    assert (explorer.skips, sum(len(s.time) for s in steps)) == (1, 600)
+    assert [(part.place, part.rows) for part in simulator.given_up] == [(1, slice(0, 200))]
+    assert sum(len(s.time) for s in steps) == 600
     assert np.linalg.norm(steps[-1].outputs[-1, :3] - path.points[1799]) < 1e-3
 
 
@@ -113,23 +115,115 @@ def test_an_arm_that_finds_no_way_to_a_place_goes_on_to_the_next(
     order = [PHASES[phase] for phase, _ in groupby(steps, key=lambda step: step.phase)]
     once = ["approach", "touch", "hold", "slide"]
     assert order == [*once, "leave", "next", *once]
-    assert (explorer.skips, simulator.given_up) == (1, ["no way"])
+    assert [str(part) for part in simulator.given_up] == ["no way"]
     np.testing.assert_array_equal(ways[0], ways[1])
     assert np.linalg.norm(steps[-1].outputs[-1, :3] - path.points[1799]) < 1e-3
 
 
-def test_parts_that_are_given_up_are_said(prepared, sphere):
+class Spoiled:
+    """A rollout whose blocks are spoiled by `spoil(states, outputs)` in the second place."""
+
+    def __init__(self, simulator, spoil):
+        self.rollout, self.spoil, self.explorer = simulator.rollout, spoil, None
+        self.lengths = self.rollout.lengths
+
+    def run(self, *inputs):
+        states, outputs = (x.copy() for x in self.rollout.run(*inputs))
+        if self.explorer.place == 1 and self.explorer.phase == state_machine.SLIDE:
+            self.spoil(states, outputs)
+        return states, outputs
+
+
+def explore_spoiled(simulator, track, along, spoil):
+    """Explorer and steps over three places, the second of which is spoiled."""
+    places = [track[:300], track[1000:1200], track[1500:1800]]
+    postures = along[[0, 1000, 1500]] if simulator.loop.joints else None
+    simulator.rollout = spoiled = Spoiled(simulator, spoil)
+    spoiled.explorer = ExplorationStateMachine(simulator, places, SETTINGS, postures)
+    try:
+        return spoiled.explorer, list(spoiled.explorer.run())
+    finally:
+        simulator.rollout = spoiled.rollout
+
+
+@pytest.mark.parametrize(
+    ("mode", "number", "why"),
+    [("arm", np.nan, "diverged"), ("quasi_static", np.nan, "diverged"),
+     ("quasi_static", 1e9, "flew off its path")],
+)  # fmt: skip
+def test_a_contact_that_cannot_be_held_costs_itself_alone(
+    prepared, track, along, mode, number, why
+):
+    def thrown(states, outputs):
+        states[-1, 0] = number
+
+    simulator, path = prepared(mode)
+    _, found = explore_spoiled(simulator, track, along, thrown)
+    (part,) = simulator.given_up
+    assert (part.place, part.rows) == (1, slice(0, 200))
+    assert why in str(part)
+    assert np.abs(np.concatenate([s.q for s in found])).max() < 10.0
+    assert sum(len(s.time) for s in found if s.phase == state_machine.SLIDE) == 600
+    assert np.linalg.norm(found[-1].outputs[-1, :3] - path.points[1799]) < 1e-3
+
+
+def test_steps_over_a_patch_that_folds_are_taken_again_from_the_mesh(prepared, track, along):
+    """Beyond its face a patch may fold: its normal is no unit vector there, and the step is far
+    off. Where it folds under every step, the place is given up."""
+
+    def beyond(first):
+        def folded(states, outputs):
+            outputs[first:, 3:6] *= 50.0
+            states[first + 1 :, :3] += 1e9
+
+        return folded
+
+    simulator, path = prepared("quasi_static")
+    _, found = explore_spoiled(simulator, track, along, beyond(20))
+    assert not simulator.given_up
+    slides = [s for s in found if s.phase == state_machine.SLIDE]
+    assert sum(len(s.time) for s in slides) == 800
+    outputs = np.concatenate([s.outputs for s in slides])
+    np.testing.assert_allclose(np.linalg.norm(outputs[:, 3:6], axis=1), 1.0, atol=1e-9)
+    assert outputs[:, 6] == pytest.approx(3.0, abs=0.05)
+    assert np.linalg.norm(outputs[-1, :3] - path.points[1799]) < 1e-3
+    simulator.reset()
+    explore_spoiled(simulator, track, along, beyond(0))
+    (part,) = simulator.given_up
+    assert (part.place, part.error.what) == (1, "the surface under the contact folds")
+
+
+def test_parts_that_are_given_up_and_their_taxels_are_said(prepared, sphere):
     path = prepared("quasi_static")[1]
+    rows = slice(9000, 12000)
     parts = [
-        replace(path, **{name: getattr(path, name)[rows] for name in ROWS}, breaks=())
-        for rows in (slice(0, 300), slice(1000, 1200), slice(1500, 1800))
+        replace(path, **{name: getattr(path, name)[part] for name in ROWS}, breaks=())
+        for part in (slice(0, rows.start), rows, slice(rows.stop, None))
     ]
     within = parts[1].poses.copy()
     within[:, 2, 3] -= 0.05
     parts[1] = replace(parts[1], poses=within)
     scene = sphere.with_(loop=replace(sphere.loop, mode="quasi_static"))
-    with pytest.warns(UserWarning, match="1 part of the path was given up: the body meets"):
-        ms.simulate(scene, seed=1, path=Path.concatenate(parts))
+    with (
+        pytest.warns(UserWarning, match="1 part of the path was given up: the body meets"),
+        pytest.warns(ms.LeftOutWarning, match=r"not reached \(\d+: given up: the body meets"),
+    ):
+        recording = ms.simulate(scene, seed=1, path=Path.concatenate(parts))
+    lost = [int(taxel) for taxel in recording.metadata["unreachable"]]
+    counts = coverage(len(scene.skin), recording.metadata["unreachable"])
+    assert counts == {"planned": len(scene.skin), "reached": len(scene.skin) - len(lost),
+                      "given_up": len(lost)}  # fmt: skip
+
+    def nearest(points, taxels):
+        at = scene.skin.positions[np.isin(scene.skin.ids, taxels)]
+        return np.linalg.norm(at[:, None] - points, axis=2).min(axis=1)
+
+    assert 3 < len(lost) < 0.3 * len(scene.skin)
+    radius = scene.rig.sensing_radius
+    assert nearest(path.points[rows], lost).max() < radius
+    kept = [int(k) for k in scene.skin.ids if k not in lost]
+    rest = np.delete(path.points, rows, axis=0)[::10]
+    assert nearest(rest, kept).max() < radius
 
 
 def test_a_ring_turns_about_the_indenter_clear_of_it(arm):

@@ -25,6 +25,10 @@ answers it, and from which a contact is in the middle of a taxel."""
 BESIDE = 0.5
 """Distance, in contact radii, from such a contact, at which another one must be answered: Hertz'
 pressure falls from STRONG to SILENT in 0.56 of them, and every smoother one more slowly."""
+AS_LARGE = 0.9
+"""Least radius of a contact, in that of an answered one beside it, at which it must be answered,
+too: at lighter touches, as those of an approach, a taxel may lie beside the smaller patch. The
+force that gives it is 0.73 times as large."""
 SAME_SHEET = 0.5
 """Least cosine of the angle between normals of contacts on the same side of a plate."""
 MAX_UNANSWERED = 0.2
@@ -89,13 +93,11 @@ def unanswered_contacts(data: Measurements) -> tuple[np.ndarray, np.ndarray]:
     strong, rest = np.flatnonzero(strongest > STRONG * typical), strongest <= STRONG * typical
     beside = strongest > STRONG * typical
     if len(strong):
-        limit = BESIDE * float(np.median(data.radii))
-        gap, nearest = cKDTree(data.points[strong]).query(
-            data.points[rest], distance_upper_bound=limit
-        )
-        near = np.isfinite(gap)
-        nearest = strong[np.where(near, nearest, 0)]
+        gap, nearest = cKDTree(data.points[strong]).query(data.points[rest])
+        nearest = strong[nearest]
         cosine = np.einsum("mi,mi->m", data.normals[rest], data.normals[nearest])
+        radius = data.radii[rest]
+        near = (gap < BESIDE * radius) & (radius > AS_LARGE * data.radii[nearest])
         beside[rest] = near & (cosine > SAME_SHEET)
     return beside, beside & (strongest < SILENT * typical)
 

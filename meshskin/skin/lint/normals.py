@@ -22,6 +22,9 @@ FLATNESS = 0.5e-3
 """Largest distance of taxels from a plane on which they may share one normal, m."""
 NEIGHBOURS = 3
 """Nearest neighbours with whose normals that of a taxel is compared."""
+SAME_RING = 1.25
+"""Distance, in that of the last of them, of further taxels that are compared with, too: at the rim
+of a thin plate the nearest may lie on its other side."""
 FIT_TOLERANCE = 1.5e-3
 """Largest rms distance of taxels from the fitted module for its side to be decided, m: far below
 the 6.5 mm between neighbouring taxels."""
@@ -90,9 +93,13 @@ def flipped(table: SkinTable) -> Iterator[Defect]:
     rows = rows.take(length > 0.0)
     n = rows.normals / length[length > 0.0, None]
     if len(n) > NEIGHBOURS:
-        _, near = KDTree(rows.positions).query(rows.positions, k=NEIGHBOURS + 1)
-        against = np.einsum("ij,ikj->ik", n, n[near[:, 1:]]).max(axis=1) < -0.5
-        offset = rows.positions[near[:, 1:]] - rows.positions[:, None]
+        tree, count = KDTree(rows.positions), min(2 * NEIGHBOURS, len(n) - 1)
+        gap, near = (x[:, 1:] for x in tree.query(rows.positions, k=count + 1))
+        cosine = np.einsum("ij,ikj->ik", n, n[near])
+        cosine[gap > SAME_RING * gap[:, NEIGHBOURS - 1 : NEIGHBOURS]] = -1.0
+        against = cosine.max(axis=1) < -0.5
+        near = near[:, :NEIGHBOURS]
+        offset = rows.positions[near] - rows.positions[:, None]
         height = np.abs(np.einsum("ikj,ij->ik", offset, n))
         against &= np.all(height < 0.5 * np.linalg.norm(offset, axis=2), axis=1)
         if against.any():
