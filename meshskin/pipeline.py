@@ -22,6 +22,7 @@ from .core.deadline import (
     FIGURE_SECONDS,
     IMPORT_SECONDS,
     LEAST_SECONDS,
+    PAGE_SECONDS,
     REPORT_SECONDS,
     Deadline,
     check_run_seconds,
@@ -153,7 +154,7 @@ def _loaded(job: _Job, budget: float | None) -> Scene:
             scene = scene.with_(budget=budget)
         check_folder(job.folder)
         if math.isfinite(seconds) and scene.indenter.carried_by is None:
-            check_run_seconds(seconds, deadline.least(least_seconds(scene)))
+            check_run_seconds(seconds, deadline.least(least_seconds(scene) + PAGE_SECONDS))
     return scene
 
 

@@ -38,6 +38,8 @@ FAILED = 1
 """Exit code where the verdict is FAIL."""
 SHOWN = 8
 """Taxels with faults that the summary lists; metrics.json has all."""
+HELD_OUT = "cross_validation.parquet"
+"""File of the contacts that were held out, in the folder of the results."""
 TOUCHES = 3
 """Touches that are advised where a calibration is not complete: the next ones follow from these."""
 
@@ -105,6 +107,7 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
     if options.cross_validate is not None:
         validation = found.cross_validate(recording, options.cross_validate, belief, progress)
         metrics["cross_validation"] = validation.metrics()
+        validation.save(options.out / HELD_OUT)
     found.report(
         options.out / "report.html",
         body=belief.body,

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import CalibrationError, ConfigError, GraphError, MeshskinError
 from . import body_options
+from .calibrate import HELD_OUT
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def command(options: argparse.Namespace) -> int:
     """Write the page and say what of it could not be made again."""
     from ..estimation.calibration import Calibration
+    from ..estimation.cross_validation import CrossValidation
 
     folder = options.folder
     found = Calibration.load(folder / "calibration")
@@ -53,6 +55,9 @@ def command(options: argparse.Namespace) -> int:
     scene = attempt("scene", lambda: _scene(options, inputs))
     recording = attempt("recording", lambda: _recording(options, inputs))
     body = scene.body if scene is not None else attempt("body", lambda: _body(options, inputs))
+    validation = None
+    if "cross_validation" in metrics:
+        validation = attempt("held out", lambda: CrossValidation.load(folder / HELD_OUT))
     with bar(options.quiet) as progress:
         truth: dict[str, Any] = {}
         if scene is not None and "crlb_mm" in metrics:  # a run, whose true skin is the scene's
@@ -62,7 +67,7 @@ def command(options: argparse.Namespace) -> int:
                 metrics["left_out"] = []  # for lack of time in the run
         found.report(
             folder / "report.html", body=body, recording=recording, metrics=metrics,
-            seconds=metrics.get("seconds"), progress=progress, **truth,
+            seconds=metrics.get("seconds"), validation=validation, progress=progress, **truth,
         )  # fmt: skip
     if not options.quiet:
         print(f"{folder / 'report.html'}: written again")

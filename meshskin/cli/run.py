@@ -68,11 +68,11 @@ def command(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
     """Run the scene and print the summary; watch: as of `pipeline.run`."""
-    from ..core.deadline import LEAST_SECONDS, check_run_seconds, command_began, crowding
+    from ..core.deadline import LEAST_SECONDS, check_run_seconds, command_began, crowding, pace
 
     began = command_began()
     if options.seconds is not None:  # before the packages, which take half of the least time
-        check_run_seconds(options.seconds, LEAST_SECONDS * crowding())
+        check_run_seconds(options.seconds, LEAST_SECONDS * pace() * crowding())
     from ..pipeline import run
     from ..study.sensitivity.request import Request
 

@@ -14,7 +14,8 @@ from typing import Any
 from .errors import OutputError
 
 RESULTS = (
-    "calibration.parquet", "calibration.csv", "metrics.json", "report.html", "corrected.urdf",
+    "calibration.parquet", "calibration.csv", "cross_validation.parquet", "metrics.json",
+    "report.html", "corrected.urdf",
 )  # fmt: skip
 """Files that a calibration writes; those of an earlier recording are removed."""
 

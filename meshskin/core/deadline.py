@@ -11,8 +11,11 @@ from time import perf_counter, process_time
 from .errors import OutOfTime, StudyError
 from .progress import Progress
 
-LEAST_SECONDS = 2.0
-"""Least time, s, of a run: packages, the smallest body and the report alone take as long."""
+LEAST_SECONDS = 2.7
+"""Least time, s, of a run at a pace of 1: packages, the paper's sphere on wide lanes and a page
+without figures (measured: 3.0 to 3.3 of processor time beside other work)."""
+PACE_SECONDS = 1e-3
+"""Processor time, s, of the work of `pace` where LEAST_SECONDS was measured."""
 IMPORT_SECONDS = 0.9
 """The part of LEAST_SECONDS that importing the packages takes, s."""
 REPORT_SECONDS, PAGE_SECONDS, FIGURE_SECONDS = 2.0, 0.3, 0.8
@@ -43,6 +46,17 @@ def crowding() -> float:
         return max(min(1 + waiting / running, wanting), 1.0)
     except (OSError, IndexError, ValueError, ZeroDivisionError):
         return 1.0
+
+
+def pace() -> float:
+    """Factor by which this machine computes slower than the one of LEAST_SECONDS: the shortest of
+    ten times of a sum of squares."""
+    times = []
+    for _ in range(10):
+        began = process_time()
+        sum(k * k for k in range(20_000))
+        times.append(process_time() - began)
+    return min(times) / PACE_SECONDS
 
 
 def check_run_seconds(seconds: float, least: float = LEAST_SECONDS) -> None:

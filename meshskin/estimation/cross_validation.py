@@ -9,15 +9,19 @@ a block. Blocks of a whole fifth of a recording would leave taxels without any c
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from ..contact import LEARNED
 from ..core import arrow
 from ..core.arguments import check_integer
 from ..core.arrays import Array, median_spacing
+from ..core.atomic_io import atomic
 from ..core.errors import CalibrationError
 from ..core.progress import Progress, Stage
 from ..core.value import Value
@@ -81,6 +85,38 @@ class CrossValidation(Value):
             if total
             else None,
         }
+
+    def save(self, path: str | Path) -> None:
+        """Write a Parquet file with a row a contact: its fields, of points as columns x, y and z.
+        Raises OutputError."""
+        columns: dict[str, np.ndarray] = {}
+        for item in fields(self):
+            value = np.asarray(getattr(self, item.name))
+            if value.ndim == 2:
+                columns |= {f"{item.name}_{k}": v for k, v in zip("xyz", value.T, strict=True)}
+            else:
+                columns[item.name] = np.broadcast_to(value, len(self.points))
+        with atomic(path) as temporary:
+            pq.write_table(arrow.table(columns), temporary)
+
+    @classmethod
+    def load(cls, path: str | Path) -> CrossValidation:
+        """Read what `save` wrote. Raises CalibrationError for other files."""
+        try:
+            table = pq.ParquetFile(path).read()
+            column: dict[str, Any] = {
+                name: arrow.values(table.column(name)) for name in table.column_names
+            }
+            place: dict[str, Any] = {
+                name: np.column_stack([column.pop(f"{name}_{k}") for k in "xyz"])
+                for name in ("points", "localized", "centroids")
+            }
+            return cls(**place, **column | {"pitch": float(column["pitch"][0])})
+        except (pa.ArrowInvalid, OSError, LookupError, TypeError) as error:
+            raise CalibrationError(
+                f"{path} holds no cross-validation", value=str(error).splitlines()[0],
+                remedy="calibrate again with --cross-validate",
+            ) from error  # fmt: skip
 
 
 def _summary(errors: Array) -> dict[str, float | None]:

@@ -263,11 +263,16 @@ def test_held_out_contacts(log, tmp_path, capsys):
     assert m["folds"] == 2
     assert m["error_mm"]["rms"] < 0.15 < 0.4 < m["centroid_error_mm"]["rms"]
     assert f"{m['localized']} of 1200 contacts localized to" in capsys.readouterr().out
-    assert "Held-out contacts" in (out / "report.html").read_text()
-    (out / "report.html").unlink()
+    figure = out / "figures" / "residuals.svg"
+    written = {path: path.read_text() for path in (out / "report.html", figure)}
+    for path in written:
+        path.unlink()
     assert cli.main(["report", str(out)]) == 0
     assert "left out" not in capsys.readouterr().out
-    assert "Held-out contacts" in (out / "report.html").read_text()
+    for words in ("Held-out contacts", "Right: from the points of the held-out contacts"):
+        for page in (written[out / "report.html"], (out / "report.html").read_text()):
+            assert words in page
+    assert abs(len(figure.read_text()) / len(written[figure]) - 1) < 0.01  # both panels
 
 
 def test_readings_of_silent_taxels_are_not_counted(scene):

@@ -1,6 +1,7 @@
 """`meshskin effects`, `init`, `report` and `scenes --show`, as a user meets them."""
 
 import json
+import shutil
 import tomllib
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from meshskin import cli, effects
 from meshskin.cli import effects as command
 from meshskin.cli import init
 from meshskin.core.errors import ConfigError
+from meshskin.estimation.cross_validation import CrossValidation
 
 
 def test_every_effect_is_listed_and_can_be_switched_on_as_it_is_shown(capsys):
@@ -177,6 +179,24 @@ def test_the_page_gets_what_the_folder_and_its_inputs_hold(folder, capsys, monke
     assert given["body"] is None
     assert given["recording"] is not None
     assert cli.main(["report", str(folder / "figures")]) == 2
+
+
+def test_the_page_gets_the_contacts_that_were_held_out(folder, tmp_path, capsys, monkeypatch):
+    given = {}
+    monkeypatch.setattr(ms.Calibration, "report", lambda self, path, **rest: given.update(rest))
+    for path in folder.glob("calibration.*"):
+        shutil.copy(path, tmp_path)
+    (tmp_path / "metrics.json").write_text(json.dumps({"cross_validation": {"localized": 2}}))
+    points, rows = np.arange(9.0).reshape(3, 3), np.arange(3)
+    held_out = CrossValidation(points, points + np.nan, -points, rows, 1.0 * rows, rows, 4e-3)
+    held_out.save(tmp_path / "cross_validation.parquet")
+    assert cli.main(["report", str(tmp_path)]) == 0
+    assert given["validation"] == held_out
+    assert "held out" not in capsys.readouterr().out
+    shutil.copy(tmp_path / "calibration.parquet", tmp_path / "cross_validation.parquet")
+    assert cli.main(["report", str(tmp_path)]) == 0
+    assert given["validation"] is None
+    assert "holds no cross-validation" in capsys.readouterr().out
 
 
 def test_left_out_taxels_are_a_warning_in_python(sphere, recording):

@@ -171,10 +171,22 @@ def pipeline_run(scene, machine, path):
 
 
 def test_a_crowded_machine_refuses_before_the_packages_are_read(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("meshskin.core.deadline.crowding", lambda: 5.0)
+    """Or a slow one: by the wall time that the same processor time takes, or by its pace."""
     monkeypatch.setattr(pipeline, "run", lambda *a, **k: pytest.fail("the run began"))
-    assert cli.main(["run", "sphere", "--seconds", "9", "--out", str(tmp_path / "out")]) == 2
-    assert "a run takes 10 s at least" in capsys.readouterr().err
+    for crowding, pace in ((5.0, 1.0), (2.5, 2.0)):
+        monkeypatch.setattr("meshskin.core.deadline.crowding", lambda found=crowding: found)
+        monkeypatch.setattr("meshskin.core.deadline.pace", lambda found=pace: found)
+        assert cli.main(["run", "sphere", "--seconds", "13", "--out", str(tmp_path / "out")]) == 2
+        assert "a run takes 13.5 s at least" in capsys.readouterr().err
+
+
+def test_the_pace_is_that_of_this_process():
+    """Measured of the work alone, whatever else the process has done or waited for."""
+    found = [deadline.pace() for _ in range(3)]
+    assert 0.1 < min(found) < 10.0
+    began = process_time()
+    deadline.pace()
+    assert process_time() - began < 0.2
 
 
 def test_a_machine_is_crowded_by_the_less_of_what_tells_it(monkeypatch):
