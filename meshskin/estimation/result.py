@@ -99,9 +99,9 @@ class LearnedResponse(Value):
     """Share of a play operator in the readings, and its half-width relative to the nominal peak
     (joint/electronics.py); zeros where the readings show none."""
     crosstalk: float = 0.0
-    """Share of each neighbour's pressure in a reading."""
+    """Share of the pressure of each neighbour, or of other taxels near it, in a reading."""
     leaking: float = 1.0
-    """Part of the pairs of neighbours that have crosstalk: less within modules only."""
+    """1 where all neighbours crosstalk; else the part that does of the pairs of near taxels."""
     drift: float = 0.0
     """Standard deviation over the taxels of the change of their offsets during the recording."""
     creep: tuple[float, float] = (0.0, 0.0)
@@ -180,9 +180,10 @@ class LearnedResponse(Value):
                 f"{width:.2g} % of the nominal peak"
             )
         if self.crosstalk:
-            pairs = "" if self.leaking == 1 else f", in {100 * self.leaking:.2g} % of the pairs"
-            words = f"{100 * self.crosstalk:.2g} % of each neighbour's pressure{pairs}"
-            shown.append(f"crosstalk: {words}")
+            of = "each neighbour's pressure"
+            if self.leaking != 1:
+                of = f"another taxel's pressure, in {100 * self.leaking:.2g} % of the near pairs"
+            shown.append(f"crosstalk: {100 * self.crosstalk:.2g} % of {of}")
         if self.drift:
             shown.append(
                 f"offsets drift by {self.drift:.2g} {self.unit_name} during the recording (1 sigma)"

@@ -93,6 +93,7 @@ def catalogue() -> dict[str, World]:
         "crosstalk_modules": World(hertz, Electronics(crosstalk=0.05, module=12)),
         "crosstalk_faint": World(hertz, Electronics(crosstalk=0.02, module=12)),
         "matrix": World(hertz, Electronics(crosstalk=0.03, line=10)),
+        "ghosts": World(hertz, Electronics(crosstalk=0.03, scan=True)),
         "wander": World(hertz, Electronics(wander=0.03)),
         "creep_03": World(hertz, Electronics(creep=0.25, creep_time=0.3), **PRESSES),
         "creep_30": World(hertz, Electronics(creep=0.25, creep_time=3.0), **PRESSES),

@@ -40,6 +40,8 @@ class Electronics:
     line: int = 0
     """Taxels of a line of a matrix, in the order of their numbers, each of which reads `crosstalk`
     of every other one; 0: neighbours crosstalk."""
+    scan: bool = False
+    """Whether a taxel reads `crosstalk` of the one of the last number, and of no other."""
     creep: float = 0.0
     """Relative rise of the reading under a pressure that is held for ever."""
     creep_time: float = 1.0
@@ -109,6 +111,8 @@ class Sensors:
             if e.line:
                 line = np.arange(self.count) // e.line
                 beside = (line[:, None] == line) & (near > 0)
+            if e.scan:
+                beside = np.eye(self.count, k=1, dtype=bool)
             pressure = pressure + e.crosstalk * pressure @ beside
         if e.creep:
             pressure = pressure + e.creep * crept(pressure, time, dwell, e.creep_time)

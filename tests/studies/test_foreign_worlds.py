@@ -215,7 +215,9 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
         ("hysteresis", {"hysteresis": (0.5, 0.2)}, 0.05e-3),
         ("crosstalk", {"crosstalk": 0.05}, 0.04e-3),
         ("crosstalk_modules", {"crosstalk": 0.05}, 0.04e-3),
-        pytest.param("crosstalk_faint", {"crosstalk": 0.02}, 0.05e-3, marks=pytest.mark.slow),
+        pytest.param("crosstalk_faint", {"crosstalk": 0.02}, 0.03e-3, marks=pytest.mark.slow),
+        ("matrix", {"crosstalk": 0.03}, 0.03e-3),
+        ("ghosts", {"crosstalk": 0.03}, 0.03e-3),
         ("drift", {"drift": 0.05}, 0.05e-3),
         ("creep_30", {"creep": (0.2, 3.0)}, 0.04e-3),
         pytest.param("creep_stops", {"creep": (0.2, 1.0)}, 0.04e-3, marks=pytest.mark.slow),
@@ -272,7 +274,7 @@ def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, tr
             pytest.param(name, marks=pytest.mark.slow)
             for name in (
                 *("oblong_13_turns", "oblong_20", "oblong_20_turns"),
-                *("wander", "matrix", "skewed"),
+                *("wander", "skewed"),
             )
         ),
     ],

@@ -79,7 +79,7 @@ class Measurements:
     unit: float = 1.0
     """Recorded unit per Pa: of raw readings that were scaled to the believed peak pressures."""
     leaks: Leaks | None = None
-    """Which neighbours crosstalk; None: all."""
+    """Which taxels crosstalk; None: all neighbours."""
     response_levels: tuple[float, float] = (0.5, 0.5)
     """Levels of readings, relative to the nominal peak, at which a learned compression leaves the
     effects of a taxel's gain and of an error of ln F as they are: those that determine both."""

@@ -15,7 +15,7 @@ from ..posegraph.symmetric_blocks import SingularMatrixError
 from .departures import FILTER_SHARE, MIN_SCORE
 from .deviations import Deviations
 from .first_response import with_first_response
-from .leaks import leaking_pairs
+from .leaks import Leaks, crosstalk_score, leaking_pairs
 from .parametrization import Unknowns
 from .pressure import OBSERVED
 from .random_effects import RandomEffects
@@ -24,7 +24,7 @@ from .response_groups import response_groups
 MAX_SIGMAS = 4.0
 """Prior standard deviations from which the estimate of a departure is not plausible: 6e-5 by
 chance."""
-MAX_ROUNDS, SAME = 6, 0.05
+MAX_ROUNDS, SAME = 12, 0.05
 """Largest number of choices of the neighbours that crosstalk: places follow, and the choice them;
 and the change of their weights from which the choice is the same."""
 NOISY = 0.05
@@ -97,6 +97,8 @@ def _with_departure(
     """
     for origin in (begin, (effects.unknowns, effects.deviations)):
         extended = _extended(effects, *origin, name, start)
+        if name == "crosstalk":
+            extended = _leaking(extended, leaking_pairs(effects.fitted()))
         first, converged = (extended.unknowns, extended.deviations), None
         try:
             converged = extended.converge()
@@ -110,21 +112,26 @@ def _with_departure(
 
 
 def _within_modules(effects: RandomEffects) -> tuple[RandomEffects, bool]:
-    """The estimate with crosstalk between those neighbours only that show it, and whether it
-    converges; the same where all do."""
+    """The estimate with crosstalk between those taxels only that show it, and whether it converges;
+    the same where all neighbours do."""
     for _ in range(MAX_ROUNDS):
         share = effects.data.parameters.value("crosstalk", effects.unknowns.s)
-        leaks = leaking_pairs(effects.fitted(), share)
-        before = effects.data.leaks
-        if leaks is None or (before and leaks.change_from(before) < SAME):
-            return effects, True
-        data = replace(effects.data, leaks=leaks)
-        u, d = effects.unknowns, effects.deviations
-        readings, pattern = effects.selected
-        effects = RandomEffects(data, readings, u, d, pattern, effects.stage)
+        leaks, before = leaking_pairs(effects.fitted(), share), effects.data.leaks
+        if leaks is None:
+            break
+        effects = _leaking(effects, leaks)
         if not effects.converge():
             return effects, False
+        if before and leaks.change_from(before) < SAME:
+            break
     return effects, True
+
+
+def _leaking(effects: RandomEffects, leaks: Leaks | None) -> RandomEffects:
+    """The estimate with crosstalk of these pairs only."""
+    u, d, (readings, pattern) = effects.unknowns, effects.deviations, effects.selected
+    data = replace(effects.data, leaks=leaks)
+    return RandomEffects(data, readings, u, d, pattern, effects.stage)
 
 
 def _may_hide_forces(effects: RandomEffects) -> bool:
@@ -164,6 +171,9 @@ def _scores(effects: RandomEffects) -> dict[str, tuple[float, Array]]:
     estimated = {*effects.data.parameters.names, *effects.data.parameters.nuisance_names}
     fitted = effects.fitted()
     found = {name: value for name, value in fitted.scores().items() if name not in estimated}
+    if "crosstalk" in found:
+        score, start = found["crosstalk"]
+        found["crosstalk"] = crosstalk_score(fitted, score), start
     if effects.data.parameters.groups == 1:
         groups = response_groups(fitted)
         found = {GROUPS: (groups.score, groups.second), **found}

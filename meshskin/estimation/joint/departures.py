@@ -43,7 +43,7 @@ LIMITS = (0.1e-3, 0.25e-3, 0.5e-3, 1e-3)
 """Shears, m, from which contacts slide, that are tried."""
 TIMES = (0.03, 0.1, 0.4, 1.5, 6.0)
 """Time constants of creep that are tried, in units of creep.TIME."""
-ONE_SIDED = ("crosstalk", "friction", "hysteresis")
+ONE_SIDED = ("friction", "hysteresis")
 """Departures whose parameter is positive."""
 SEEN = 1e-6
 """Least information on a parameter, relative to that with known taxels: rounding is below it."""

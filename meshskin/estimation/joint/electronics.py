@@ -33,6 +33,9 @@ WIDTH = 0.1
 NEXT = 1.4
 """Distance of neighbours relative to a taxel's nearest one: in a square lattice the diagonal is
 1.41, in a hexagonal one the second neighbour 1.73."""
+FAR = 2.1
+"""As NEXT, of taxels of which some may crosstalk: two rings of a lattice, beyond which few contacts
+press both."""
 PAUSE = 1.5
 """Interval between two contacts, in median ones, from which the taxels were released between."""
 
@@ -154,28 +157,31 @@ class Electronics:
     @cached_property
     def neighbours(self) -> sparse.csr_array:
         """The matrix (k, k) that sums, for each reading, those of the taxel's neighbours in its
-        contact, as far as they crosstalk."""
-        leaks, taxel = self.data.leaks, self.readings.taxel
-        if leaks is None:
-            return self.all_neighbours
-        entries = self.all_neighbours.tocoo()
-        weight = leaks.of(taxel[entries.row] * len(self.points) + taxel[entries.col])
-        return sparse.csr_array((weight, (entries.row, entries.col)), shape=entries.shape)
+        contact, or those of the taxels that leak into it."""
+        readings, leaks, k = self.readings, self.data.leaks, len(self.readings.taxel)
+        rows, columns = near_pairs(readings, self.points, NEXT if leaks is None else FAR)
+        weight = np.ones(len(rows))
+        if leaks is not None:
+            weight = leaks.of(readings.taxel[rows] * len(self.points) + readings.taxel[columns])
+            rows, columns, weight = (part[weight > 0] for part in (rows, columns, weight))
+        return sparse.csr_array((weight, (rows, columns)), shape=(k, k))
 
-    @cached_property
-    def all_neighbours(self) -> sparse.csr_array:
-        """The matrix (k, k) that sums, for each reading, those of all the taxel's neighbours in its
-        contact."""
-        from scipy.spatial import cKDTree
 
-        readings, k = self.readings, len(self.readings.taxel)
-        if len(self.points) < 2:
-            return sparse.csr_array((k, k))
-        nearest = cKDTree(self.points).query(self.points, k=2)[0][:, 1]
-        first, second = pairs_of_contacts(readings.contact)
-        own, other = readings.taxel[first], readings.taxel[second]
-        apart = np.linalg.norm(self.points[own] - self.points[other], axis=1)
-        there, back = (apart < NEXT * nearest[taxel] for taxel in (own, other))
-        rows = np.concatenate([first[there], second[back]])
-        columns = np.concatenate([second[there], first[back]])
-        return sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(k, k))
+def near_pairs(readings: Readings, points: Array, most: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (p,) of readings, and (p,) of others in the same contacts, whose taxels, at points
+    (n, 3), m, are closer than `most` times the distance of the first one's nearest."""
+    first, second = pairs_of_contacts(readings.contact)
+    own, other, near = readings.taxel[first], readings.taxel[second], most * nearest(points)
+    apart = np.linalg.norm(points[own] - points[other], axis=1)
+    there, back = (apart < near[taxel] for taxel in (own, other))
+    return (
+        np.concatenate([first[there], second[back]]),
+        np.concatenate([second[there], first[back]]),
+    )
+
+
+def nearest(points: Array) -> Array:
+    """Distance (n,), m, of each point from its nearest one; infinite without any."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(points).query(points, k=2)[0][:, 1])

@@ -1,30 +1,44 @@
-"""Which neighbours crosstalk: within modules they do, across the gaps between modules they do not.
+"""Which taxels crosstalk: those of a module, of a line of a matrix, or of a scan one after another.
 
-The share of every pair of neighbours is estimated beside the unknowns of the taxel that reads, all
-others being known. The pairs are a mixture of those with a common share and those with none, which
-the algorithm of expectation and maximization tells apart. Source: Dempster, Laird, Rubin, "Maximum
-likelihood from incomplete data via the EM algorithm", Journal of the Royal Statistical Society B 39
-(1977).
+What a taxel reads of each taxel near it is a common share of that one's pressure, or none. The
+shares are estimated beside the unknowns of the taxel that reads and the global parameters, all
+others being known: their log-likelihood is a quadratic form. Which ones are there is found by a
+mean field; its bound of the likelihood tells, too, whether any is, and whether the two of a pair
+read of each other alike, or each ordered pair has its own probability.
+
+Source: Jordan, Ghahramani, Jaakkola, Saul, "An introduction to variational methods for graphical
+models", Machine Learning 37 (1999).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array
 from .departures import FittedReadings
-from .electronics import Electronics
+from .electronics import FAR, NEXT, near_pairs, nearest
 
-ROUNDS = 100
-"""Iterations of the mixture, from which its parts no longer change."""
+ROUNDS, DAMPING, SETTLED = 300, 0.5, 1e-3
+"""Largest number of rounds of the mean field, the part of a change that is made in each, and the
+largest change of a probability at which it has converged: 20 to 80 are usual."""
+DISTANT, NEIGHBOURS, NEXT_ID, LAST_ID = range(4)
+PARTS = 0.1, 0.5, 0.5, 0.5
+"""First part of each kind of pairs that crosstalk: of those beyond NEXT, of neighbours, and where
+the other taxel has the next id, or the last one, as channels of a multiplexer."""
+STARTS, HELD = (1.0, 1.5, 2.5), 20
+"""Factors that the first share is raised by, for the first rounds: few pairs with a large share
+resemble many with a small one, and a mean field ends at either. The likelier one counts."""
 CARE = 0.5
-"""Part of the logarithm of the odds that counts: places, contacts and response are not known."""
-TINY = 1e-12
-"""Added to the diagonal of the normal equations: shares that no reading determines."""
+"""Part of the logarithm of the odds of a pair that its uncertainty rests on: contacts and the other
+taxels are not known, nor other pairs, which a mean field takes as independent."""
+RIDGE, TINY = 1e-6, 1e-12
+"""Added to the diagonal of normal equations, relative to it and at least: shares that no reading
+determines."""
 MIN_GAIN = 3.0
-"""Least increase of the log-likelihood by the mixture over one share of all pairs."""
+"""Least increase of the log-likelihood by the mixture over one share of all neighbours."""
 
 
 @dataclass(frozen=True)
@@ -32,15 +46,18 @@ class Leaks:
     """Pairs of n taxels that crosstalk."""
 
     key: np.ndarray
-    """Row of the one times n plus row of the other (p,), rising: one entry
-    for each direction in which a pair is compared."""
+    """Row of the one that reads times n plus row of the other (p,), rising."""
     weight: Array
     """Probability (p,) that it crosstalks."""
+    variance: Array
+    """Variance (p,) of whether it does, 0 or 1."""
+    gain: float = 0.0
+    """Increase of the log-likelihood by a common share of these."""
 
-    def of(self, key: np.ndarray) -> Array:
-        """Weights (q,) of the pairs (q,); 0 of others."""
+    def of(self, key: np.ndarray, values: Array | None = None) -> Array:
+        """Weights, or values (p,), of the pairs (q,); 0 of others."""
         at = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
-        return np.where(self.key[at] == key, self.weight[at], 0.0)
+        return np.where(self.key[at] == key, (self.weight if values is None else values)[at], 0.0)
 
     def change_from(self, before: Leaks) -> float:
         """Largest change of a weight; pairs that only one of the two has have 0 in the other."""
@@ -48,95 +65,191 @@ class Leaks:
         return float(np.abs(self.of(key) - before.of(key)).max())
 
 
-def leaking_pairs(fitted: FittedReadings, share: float) -> Leaks | None:
-    """The pairs of neighbours that crosstalk; None where all do alike, or there are no neighbours.
-    share: of the crosstalk that `fitted` has."""
-    n = len(fitted.points)
-    key, value, variance = _shares(fitted, share)
-    if not len(key):
+def leaking_pairs(fitted: FittedReadings, share: float = 0.0) -> Leaks | None:
+    """The pairs of taxels that crosstalk; None where all neighbours do alike and no others, where
+    none do, or there are none. share: of the crosstalk that `fitted` has."""
+    shares = _Shares.of(fitted, share)
+    if not len(shares.key):
         return None
-    first, second = np.divmod(key, n)
-    pair = np.minimum(first, second) * n + np.maximum(first, second)
-    owner = np.unique(pair, return_inverse=True)[1]
-    weight = np.bincount(owner, 1 / variance)
-    mean = np.bincount(owner, value / variance) / weight
-    common = float(weight @ mean) / float(weight.sum())
-    level, part = 2 * max(common, 0.0), 0.5
-    for _ in range(ROUNDS):
-        odds = weight * level * (mean - level / 2) + np.log(part / (1 - part))
-        member = 1 / (1 + np.exp(-np.clip(odds, -50, 50)))
-        level = float((weight * member) @ mean) / float(weight @ member)
-        part = float(np.clip(member.mean(), 1e-3, 1 - 1e-3))
-    odds = weight * level * (mean - level / 2)
-    member = 1 / (1 + np.exp(-np.clip(CARE * odds + np.log(part / (1 - part)), -50, 50)))
-    mixture = np.logaddexp(np.log(1 - part), np.log(part) + odds).sum()
-    uniform = float((weight * common) @ (mean - common / 2))
-    if level <= 0 or mixture - uniform < MIN_GAIN:
-        return None
-    return Leaks(key, member[owner])
+    first, second = np.divmod(shares.key, len(fitted.points))
+    pair = np.minimum(first, second) * len(fitted.points) + np.maximum(first, second)
+    both, each = np.unique(pair, return_inverse=True)[1], np.arange(len(pair))
+    trials = (shares.mixture(owner, raised) for owner in (both, each) for raised in STARTS)
+    found = max(trials, key=lambda leaks: leaks.gain)
+    return found if found.gain > shares.uniform() + MIN_GAIN else None
+
+
+def crosstalk_score(fitted: FittedReadings, uniform: float) -> float:
+    """Score of crosstalk, in standard deviations: of single pairs, or `uniform`, that of all
+    neighbours alike."""
+    leaks = leaking_pairs(fitted)
+    return uniform if leaks is None else max(uniform, (2 * leaks.gain) ** 0.5)
 
 
 def leak_covariances(fitted: FittedReadings, share: float) -> Array:
-    """Covariances (n, 2, 2), m^2, of the places by not knowing which neighbours crosstalk."""
-    n, leaks = len(fitted.points), fitted.data.leaks
+    """Covariances (n, 2, 2), m^2, of the places by not knowing which pairs crosstalk."""
+    leaks, found = fitted.data.leaks, np.zeros((len(fitted.points), 2, 2))
     if leaks is None:
-        return np.zeros((n, 2, 2))
-    pairs = _Pairs.of(fitted)
-    size, weight = len(fitted.own), leaks.of(pairs.key)
-    own, by_share = pairs.matrix[:, :size, :size], pairs.matrix[:, :size, size:]
-    moved = np.linalg.solve(own, by_share)[:, :2]
-    variance = np.zeros((n, by_share.shape[2]))
-    variance[pairs.taxel, pairs.slot] = share**2 * weight * (1 - weight) / CARE
-    return np.asarray(np.einsum("nas,ns,nbs->nab", moved, variance, moved))
-
-
-def _shares(fitted: FittedReadings, share: float) -> tuple[Array, Array, Array]:
-    """Keys (q,) of the ordered pairs of neighbours, the reading one's row times n plus the other's,
-    and the estimate (q,) and variance (q,) of the share of each."""
-    pairs, leaks = _Pairs.of(fitted), fitted.data.leaks
-    inverse = np.linalg.inv(pairs.matrix)
-    found = (inverse @ pairs.right[..., None])[..., 0]
-    at = pairs.taxel, len(fitted.own) + pairs.slot
-    has = np.ones(len(pairs.key)) if leaks is None else leaks.of(pairs.key)
-    variance = np.diagonal(inverse, axis1=1, axis2=2)
-    return pairs.key, found[at] + share * has, variance[at]
+        return found
+    size = len(fitted.own)
+    for taxel, (key, matrix, _) in enumerate(_normal_equations(fitted)):
+        variance = share**2 * leaks.of(key, leaks.variance)
+        moved = np.linalg.solve(matrix[:size, :size], matrix[:size, size : size + len(key)])[:2]
+        found[taxel] = moved * variance @ moved.T
+    return found
 
 
 @dataclass(frozen=True)
-class _Pairs:
-    """Normal equations of each taxel's own unknowns (D) and the shares of its neighbours (S)."""
+class _Shares:
+    """The log-likelihood right x - x L x / 2 of the shares x (q,) of ordered pairs of taxels, with
+    the unknowns of the one that reads and the global parameters at their best."""
 
     key: np.ndarray
-    """Ordered pairs (q,), as in Leaks."""
-    taxel: np.ndarray
-    """The taxel (q,) that reads, and its place (q,) among the shares."""
-    slot: np.ndarray
-    matrix: Array
-    """(n, D + S, D + S)."""
+    """Pairs (q,), as in Leaks."""
+    near: np.ndarray
+    """Whether they are neighbours (q,) bool."""
+    kind: np.ndarray
+    """DISTANT, NEIGHBOURS, NEXT_ID or LAST_ID (q,)."""
+    at: tuple[np.ndarray, np.ndarray]
+    """The taxel (q,) that reads, and the place (q,) of the other one among those that it reads."""
+    own: Array
+    """Blocks (n, S, S) of L where the global parameters are known."""
+    common: Array
+    """C (q, ks): these take C C^T from L."""
     right: Array
-    """(n, D + S)."""
+    """(q,)."""
 
     @classmethod
-    def of(cls, fitted: FittedReadings) -> _Pairs:
-        """Of the readings, others being known."""
-        readings, n, size = fitted.readings, len(fitted.points), len(fitted.own)
-        entries = Electronics(fitted.data, readings, fitted.points).all_neighbours.tocoo()
-        row, column = entries.row, entries.col
-        key = readings.taxel[row] * n + readings.taxel[column]
-        unique, owner = np.unique(key, return_inverse=True)
-        taxel = unique // n
-        slot = np.arange(len(unique)) - np.searchsorted(taxel, taxel)
-        columns = np.zeros((len(fitted.mu), size + int(slot.max(initial=0)) + 1))
-        columns[:, :size] = fitted.own.T
-        columns[row, size + slot[owner]] = np.maximum(fitted.mu - fitted.offset, 0.0)[column]
-        width = columns.shape[1]
-        matrix = np.zeros((n, width, width))
-        for k in range(width):
-            weighted = columns * (fitted.curvature * columns[:, k])[:, None]
-            matrix[:, k] = sums_by_group(weighted, readings.taxel, n)
-        prior = np.append(fitted.prior, np.zeros(width - size))
-        matrix += np.diag(prior)
-        diagonal = np.diagonal(matrix, axis1=1, axis2=2)
-        matrix[:, np.arange(width), np.arange(width)] += 1e-6 * diagonal + TINY
-        right = -sums_by_group(columns * fitted.rate[:, None], readings.taxel, n)
-        return cls(unique, taxel, slot, matrix, right)
+    def of(cls, fitted: FittedReadings, share: float) -> _Shares:
+        """Those of readings with a crosstalk of `share`."""
+        parts = list(_normal_equations(fitted))
+        counts, size = [len(key) for key, *_ in parts], len(fitted.own)
+        key = np.concatenate([key for key, *_ in parts])
+        taxel = np.repeat(np.arange(len(parts)), counts)
+        at = taxel, np.arange(len(key)) - np.searchsorted(taxel, taxel)
+        width, kept = max(counts, default=0), _other_parameters(fitted)
+        own, right = np.zeros((len(parts), width, width)), np.zeros((len(parts), width))
+        coupling = np.zeros((len(parts), width, len(kept)))
+        common = np.zeros((len(kept), len(kept)))
+        if fitted.system is not None:  # with their priors
+            common += fitted.system.shared[np.ix_(kept, kept)]
+        for i, (_, matrix, slope) in enumerate(parts):
+            q = slice(size, size + counts[i])
+            rest = size + counts[i] + kept
+            by_own = np.linalg.solve(matrix[:size, :size], matrix[:size])
+            left = matrix[q] - matrix[q, :size] @ by_own
+            own[i, : counts[i], : counts[i]] = left[:, q]
+            coupling[i, : counts[i]] = left[:, rest]
+            right[i, : counts[i]] = slope[q] - by_own[:, q].T @ slope[:size]
+            common -= matrix[rest, :size] @ by_own[:, rest]
+            if fitted.system is None:
+                common += matrix[np.ix_(rest, rest)]
+        first, second = np.divmod(key, len(parts))
+        distance = np.linalg.norm(fitted.points[first] - fitted.points[second], axis=1)
+        near = distance < NEXT * nearest(fitted.points)[first]
+        apart = np.diff(fitted.data.ids[fitted.readings.live][[first, second]], axis=0)[0]
+        kind = np.where(near, NEIGHBOURS, DISTANT)
+        kind = np.where(apart == 1, NEXT_ID, np.where(apart == -1, LAST_ID, kind))
+        by_common = coupling[at] @ _inverse_root(common)
+        found = cls(key, near, kind, at, own, by_common, right[at])
+        leaks = fitted.data.leaks
+        has = near.astype(float) if leaks is None else leaks.of(key)
+        return replace(found, right=found.right + found.product(share * has))
+
+    def product(self, x: Array) -> Array:
+        """L x (q,)."""
+        spread = np.zeros(self.own.shape[:2])
+        spread[self.at] = x
+        own = np.einsum("nst,nt->ns", self.own, spread)[self.at]
+        return np.asarray(own - self.common @ (self.common.T @ x))
+
+    def uniform(self) -> float:
+        """Increase of the log-likelihood by one share of all neighbours."""
+        x = self.near.astype(float)
+        slope = max(float(self.right @ x), 0.0)
+        return slope**2 / (2 * max(float(x @ self.product(x)), TINY))
+
+    def mixture(self, owner: np.ndarray, raised: float = 1.0) -> Leaks:
+        """Pairs with a common share and others without one; those of one `owner` (q,) alike.
+        raised: factor of STARTS."""
+        kind: np.ndarray = np.zeros(int(owner.max()) + 1, dtype=int)
+        np.maximum.at(kind, owner, self.kind)
+        diagonal = self.own[(*self.at, self.at[1])] - np.sum(self.common**2, axis=1)
+        part: Array = np.array(PARTS)[kind]
+        evidence: Array = np.zeros(len(part))
+        member, gain, least = part, 0.0, 0.0
+        for round_ in range(ROUNDS):
+            x = member[owner]
+            product = self.product(x)
+            square = float(x @ product + diagonal @ (x - x**2))
+            level = float(self.right @ x) / max(square, TINY)
+            if level <= 0:
+                return Leaks(self.key, np.zeros(len(self.key)), np.zeros(len(self.key)))
+            gain = level * float(self.right @ x) / 2 - _divergence(member, part)
+            least = raised * level if round_ == 0 else least
+            level = max(level, least) if round_ < HELD else level
+            alone = product - diagonal * (x - 0.5)
+            evidence = np.bincount(owner, level * (self.right - level * alone))
+            change = DAMPING * (_probability(evidence, part) - member)
+            member = member + change
+            part = ((np.bincount(kind, member) + 0.5) / (np.bincount(kind) + 1))[kind]
+            if round_ >= HELD and np.abs(change).max() < SETTLED:
+                break
+        careful = _probability(CARE * evidence, part)[owner]
+        variance = careful * (1 - careful) / CARE
+        return Leaks(self.key, _probability(evidence, part)[owner], variance, gain)
+
+
+def _probability(evidence: Array, part: Array) -> Array:
+    """Probabilities by the logarithm of the odds, and what they are before."""
+    return np.asarray(1 / (1 + np.exp(-np.clip(evidence + np.log(part / (1 - part)), -50, 50))))
+
+
+def _divergence(member: Array, part: Array) -> float:
+    """Kullback and Leibler's, of probabilities `member` from `part`."""
+    terms = ((m, p) for m, p in ((member, part), (1 - member, 1 - part)))
+    return sum(float(m @ np.log(np.maximum(m, TINY) / p)) for m, p in terms)
+
+
+def _inverse_root(matrix: Array) -> Array:
+    """R (ks, ks) with R R^T the inverse of a matrix (ks, ks), without directions that nothing
+    determines."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), TINY))
+    value, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    size = (value > RIDGE) / np.sqrt(np.maximum(value, RIDGE))
+    return np.asarray(vectors / scale[:, None] * size)
+
+
+def _other_parameters(fitted: FittedReadings) -> np.ndarray:
+    """Columns of the global parameters but for the common share itself."""
+    if fitted.system is None:
+        return np.zeros(1, dtype=int)
+    parameters = fitted.data.parameters
+    columns = np.arange(len(parameters.sigma))
+    return np.delete(columns, parameters.columns.get("crosstalk", slice(0, 0)))
+
+
+def _normal_equations(fitted: FittedReadings) -> Iterator[tuple[np.ndarray, Array, Array]]:
+    """Of each taxel the pairs (S,) in which it reads, the matrix (D + S + ks, .) of its own
+    unknowns, what it reads of each of the others and the global parameters, and the gradient."""
+    readings, n, size = fitted.readings, len(fitted.points), len(fitted.own)
+    row, column = near_pairs(readings, fitted.points, FAR)
+    order = np.argsort(row, kind="stable")
+    row, column = row[order], column[order]
+    begin = np.searchsorted(row, readings.starts)
+    pressure = np.maximum(fitted.mu - fitted.offset, 0.0)
+    shared = pressure[:, None]  # a common scale, where the global parameters have no derivatives
+    if fitted.system is not None:
+        shared = fitted.jacobian[:, size : size + len(fitted.data.parameters.sigma)]
+    for taxel in range(n):
+        rows = slice(*readings.starts[taxel : taxel + 2])
+        at = slice(*begin[taxel : taxel + 2])
+        other, slot = np.unique(readings.taxel[column[at]], return_inverse=True)
+        read = np.zeros((rows.stop - rows.start, len(other)))
+        read[row[at] - rows.start, slot] = pressure[column[at]]
+        columns = np.concatenate([fitted.own[:, rows].T, read, shared[rows]], axis=1)
+        matrix = columns.T @ (fitted.curvature[rows, None] * columns)
+        near = np.arange(size + len(other))
+        matrix[near[:size], near[:size]] += fitted.prior
+        matrix[near, near] += RIDGE * matrix[near, near] + TINY
+        yield taxel * n + other, matrix, -columns.T @ fitted.rate[rows]

@@ -13,6 +13,7 @@ from .contact_fields import ContactFields, contact_fields
 from .departures import FittedReadings, departure_scores, fitted_readings
 from .joint_estimator import JointEstimator
 from .jump import Jump, jump_of
+from .leaks import crosstalk_score
 from .parametrization import SurfaceParametrization
 from .residual_correlations import SharedErrors, larger, shared_errors
 
@@ -49,6 +50,8 @@ class ModelDepartures:
     def scores(self, estimator: JointEstimator) -> dict[str, float]:
         """The score of each, by its name."""
         found = departure_scores(estimator, self.fitted)
+        if self.fitted is not None:
+            found["crosstalk"] = crosstalk_score(self.fitted, found["crosstalk"])
         for part in (self.errors, self.fields, self.jump):
             found |= part.departure if part else {}
         return found
