@@ -99,6 +99,7 @@ def catalogue() -> dict[str, World]:
         "creep_30": World(hertz, Electronics(creep=0.25, creep_time=3.0), **PRESSES),
         "creep_stops": World(hertz, Electronics(creep=0.25), dwell=(0.1, 1.5)),
         "creep_slides": World(hertz, Electronics(creep=0.25)),
+        "creep_twice": World(hertz, Electronics(creep=0.3, creep_time=0.1, slow_creep=0.15)),
         "warming": World(hertz, Electronics(warm_gain=0.1, warm_offset=0.03)),
         "drag_01": World(Drag(hertz, 0.1e-3)),
         "drag_09": World(Drag(hertz, 0.9e-3)),

@@ -13,6 +13,8 @@ FULL_SCALE = 200.0
 """Counts of the peak pressure; 8 bits end at 255."""
 NEIGHBOUR = 1.2
 """Distance of taxels that crosstalk, relative to the least one."""
+SLOW = 20.0
+"""Ratio of two time constants of creep."""
 WARMING = 3.0
 """Time constants of warming during the recording."""
 
@@ -46,6 +48,8 @@ class Electronics:
     """Relative rise of the reading under a pressure that is held for ever."""
     creep_time: float = 1.0
     """Time constant of that rise, s."""
+    slow_creep: float = 0.0
+    """As `creep`, beside it, with SLOW times its time constant."""
     warm_gain: float = 0.0
     """Relative rise of the gain of all taxels from a cold to a warm skin."""
     warm_offset: float = 0.0
@@ -115,7 +119,8 @@ class Sensors:
                 beside = np.eye(self.count, k=1, dtype=bool)
             pressure = pressure + e.crosstalk * pressure @ beside
         if e.creep:
-            pressure = pressure + e.creep * crept(pressure, time, dwell, e.creep_time)
+            slow = e.slow_creep * crept(pressure, time, dwell, SLOW * e.creep_time)
+            pressure = pressure + e.creep * crept(pressure, time, dwell, e.creep_time) + slow
         if e.hysteresis:
             lagging = play(pressure, e.play * self.peak)
             pressure = (1 - e.hysteresis) * pressure + e.hysteresis * lagging

@@ -120,8 +120,7 @@ class FittedReadings:
             half = np.full(k, width * WIDTH * electronics.peak)
             lag = electronics.play(pressure, half)[0] - pressure
             yield "hysteresis", lag[:, None], np.array([SHARE, np.log(width)])
-        for time in TIMES:
-            rise = electronics.creep.follow(pressure, np.log(time)) - pressure
+        for time, rise in zip(TIMES, self.creeps(electronics).T, strict=True):
             yield "creep", rise[:, None], np.array([SHARE, np.log(time), 0.0])
         if data.headings is not None:
             # the closest point of a centre at height r moves by 1 / (1 + r k) of its motion; one
@@ -130,6 +129,12 @@ class FittedReadings:
             moved = self.moved(np.swapaxes(data.headings, 1, 2) * shrunk[:, None, None])
             for column in moved.T:
                 yield "indenter_offset", column[:, None], np.zeros(3)
+
+    def creeps(self, electronics: Electronics) -> Array:
+        """Derivatives (k, t) of the readings in shares of creep with each of TIMES."""
+        pressure = np.maximum(self.mu - self.offset, 0.0)
+        rises = [electronics.creep.follow(pressure, np.log(t)) - pressure for t in TIMES]
+        return np.column_stack(rises)
 
     def moved(self, directions: Array) -> Array:
         """Derivatives (k, q) of the readings in displacements of the contacts along `directions`

@@ -176,8 +176,7 @@ class _Shares:
         np.maximum.at(kind, owner, self.kind)
         diagonal = self.own[(*self.at, self.at[1])] - np.sum(self.common**2, axis=1)
         part: Array = np.array(PARTS)[kind]
-        evidence: Array = np.zeros(len(part))
-        member, gain, least = part, 0.0, 0.0
+        member, evidence, gain, least = part, np.zeros(len(part)), 0.0, 0.0
         for round_ in range(ROUNDS):
             x = member[owner]
             product = self.product(x)
@@ -189,7 +188,7 @@ class _Shares:
             least = raised * level if round_ == 0 else least
             level = max(level, least) if round_ < HELD else level
             alone = product - diagonal * (x - 0.5)
-            evidence = np.bincount(owner, level * (self.right - level * alone))
+            evidence = np.bincount(owner, level * (self.right - level * alone)).astype(float)
             change = DAMPING * (_probability(evidence, part) - member)
             member = member + change
             part = ((np.bincount(kind, member) + 0.5) / (np.bincount(kind) + 1))[kind]

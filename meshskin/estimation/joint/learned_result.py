@@ -27,6 +27,7 @@ from . import fault_detection
 from .contact_correlations import alike_errors, fewer_contacts
 from .contact_fields import contact_fields
 from .estimated_response import learned_response
+from .further_creep import WORDS, further_creep
 from .joint_estimator import JointEstimator
 from .leaks import leak_covariances
 from .noise import neighbours
@@ -139,7 +140,13 @@ def _tangential(
         tangential = larger(tangential, own + fields.covariances)
         factors.append(ALIKE_CONTACTS)
     tangential *= _few_readings(effects)[:, None, None]
-    return tangential + _leaks(effects), factors, {**errors.beyond(added, own), **fields.departure}
+    tangential += _leaks(effects)
+    departures = {**errors.beyond(added, own), **fields.departure}
+    if (creep := further_creep(fitted)) is not None:
+        tangential += creep.covariances
+        factors += [WORDS] if creep.covariances.any() else []
+        departures |= creep.departure
+    return tangential, factors, departures
 
 
 def _chi2(effects: RandomEffects) -> Array:
