@@ -13,7 +13,7 @@ from ..core.errors import ConfigError, RecordingError
 from .log_map import BODY, CONTACT, LogMap, StreamMap
 from .readers.yarp import SKIN_CONTACTS
 from .recording import CONTACTS as CONTACT_SCHEMA
-from .recording import FROM_TAXELS, QUATERNION, Recording
+from .recording import FROM_TAXELS, QUATERNION, UNCOMPARED, Recording
 from .resample import REST_SIGMAS, LogFrames, Pairs, paired
 from .skin_log import SkinLog
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
@@ -58,6 +58,8 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
     }
     if any(s.kind == CONTACTS and s.type == SKIN_CONTACTS for s, _ in pairs):
         metadata["contact_points"] = FROM_TAXELS
+    if not frames.clock_compared:
+        metadata["clock"] = UNCOMPARED
     return Recording(pa.table(table), readings, metadata | ({"readings": "raw"} if raw else {}))
 
 

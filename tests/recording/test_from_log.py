@@ -11,7 +11,7 @@ from meshskin.core.errors import ConfigError, MeshskinError, RecordingError
 from meshskin.recording.from_log import recording_from_log
 from meshskin.recording.log_map import LogMap, StreamMap
 from meshskin.recording.readers import read_log
-from meshskin.recording.recording import Recording
+from meshskin.recording.recording import UNCOMPARED, Recording
 from meshskin.recording.resample import log_frames
 from meshskin.recording.stream import Log, Stream
 
@@ -87,6 +87,9 @@ def test_an_offset_that_cannot_be_told_is_said(streams):
     frames = log_frames(log_of(still, log_map), log_map)
     assert (frames.skin_log.clock_offset, frames.skin_log.clock_sigma) == (0.0, None)
     assert "do not tell the clock offset" in frames.notes[0]
+    assert not frames.clock_compared
+    given = LogMap((MAP.streams[0], replace(MAP.streams[2], delay=0.037)))
+    assert log_frames(log_of(still, given), given).clock_compared
 
 
 def test_frames_in_gaps_are_left_out(streams):
@@ -189,6 +192,9 @@ def test_a_recording_has_the_contact_points_in_the_body_frame(streams, tmp_path)
     turned = Rotation.from_rotvec(np.outer(recording.time, [0.1, 0, 0.02]))
     np.testing.assert_allclose(recording.headings, turned.as_matrix(), atol=1e-5)
     assert recording.metadata["readings"] == "raw"
+    assert "clock" not in recording.metadata
+    untold = recording_from_log(log, log_map, replace(frames, clock_compared=False))
+    assert untold.metadata["clock"] == UNCOMPARED
     assert len(recording.pressure) == 25 * len(recording.time)
     assert np.abs(recording.time_lag).max() == 0
     recording.save(tmp_path / "log")
