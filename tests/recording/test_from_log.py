@@ -202,20 +202,27 @@ def test_a_recording_has_the_contact_points_in_the_body_frame(streams, tmp_path)
     assert again.metadata["taxel_ids"] == list(range(25))
 
 
-def test_contacts_of_a_stream_are_taken_where_there_is_one(streams):
-    time = np.arange(0, ROBOT.duration, 1 / 50) + 0.004
+@pytest.mark.parametrize(("rate", "second"), [(50, None), (200, None), (50, 20.0)])
+def test_contacts_of_a_stream_are_taken_where_there_is_one(streams, rate, second):
+    """second: distance, mm, of another contact at the same times in the second half of the log."""
+    time = np.arange(0, ROBOT.duration, 1 / rate) + 0.004
     depth, site = ROBOT.stroke(time)
-    pressed = depth > 0
-    rows = np.column_stack([ROBOT.sites[site], 0 * time])[pressed] * 1e3
+    time, pressed = time[depth > 0], depth > 0
+    rows = np.column_stack([ROBOT.sites[site], 0 * depth])[pressed] * 1e3
+    if second is not None:
+        twice = np.repeat(np.arange(len(time)), 1 + (time > ROBOT.duration / 2))
+        other = np.diff(twice, prepend=-1) == 0
+        time, rows = time[twice], rows[twice] + second * np.outer(other, [1.0, 0.0, 0.0])
     log_map = LogMap((*MAP.streams, StreamMap("/touch", "contacts", unit="mm")))
-    log = log_of({**streams, "/touch": (time[pressed], rows)}, log_map)
+    log = log_of({**streams, "/touch": (time, rows)}, log_map)
     touch = replace(log.streams[3], fields=("px", "py", "pz"))
     log = replace(log, streams=(*log.streams[:3], touch))
     recording = recording_from_log(log, log_map, log_frames(log, log_map))
     _, site = ROBOT.stroke(recording.time)
     np.testing.assert_allclose(recording.points[:, :2], ROBOT.sites[site], atol=1e-9)
     assert np.isnan(recording.normals).all()
-    assert len(recording.time) > 300
+    assert len(recording.time) > (300 if second is None else 150)
+    assert second is None or recording.time.max() < ROBOT.duration / 2
 
 
 def test_readings_in_pascals_are_recorded_above_their_noise(streams):
