@@ -8,16 +8,20 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from ..core.arrays import Array
+from ..core.arrays import Array, nearest_rows
 from ..core.errors import ConfigError, RecordingError
 from .log_map import BODY, CONTACT, LogMap, StreamMap
 from .readers.yarp import SKIN_CONTACTS
 from .recording import CONTACTS as CONTACT_SCHEMA
-from .recording import FROM_TAXELS, QUATERNION, Recording
+from .recording import FROM_TAXELS, QUATERNION, UNCOMPARED, Recording
 from .resample import REST_SIGMAS, LogFrames, Pairs, paired
 from .skin_log import SkinLog
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
 from .tare import thresholds
+
+SAME_CONTACT = 2e-3
+"""Distance, m, up to which contacts within a frame of the skin are one that moves: that of a stroke
+of 100 mm/s in frames of 20 ms; two indenters are farther apart."""
 
 
 def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recording:
@@ -58,6 +62,8 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
     }
     if any(s.kind == CONTACTS and s.type == SKIN_CONTACTS for s, _ in pairs):
         metadata["contact_points"] = FROM_TAXELS
+    if not frames.clock_compared:
+        metadata["clock"] = UNCOMPARED
     return Recording(pa.table(table), readings, metadata | ({"readings": "raw"} if raw else {}))
 
 
@@ -139,23 +145,37 @@ def _contact_points(pairs: Pairs, time: Array) -> tuple[Array, Array, Array | No
 def _of_contacts(
     stream: Stream, given: StreamMap, time: Array
 ) -> tuple[Array, Array, Array | None]:
-    """Point, normal and force of the only contact within half a frame of each time; NaN where there
-    is none or more than one."""
+    """Point, normal and force of the contact nearest to each time, within half a frame; NaN where
+    there is none, or another one beyond SAME_CONTACT at that time."""
     times = stream.times - (given.delay or 0.0)
     half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     first, last = np.searchsorted(times, time - half), np.searchsorted(times, time + half)
-    single = last - first == 1
     columns = {name: k for k, name in enumerate(stream.fields)}
 
     def column(name: str) -> Array:
         out = np.full(len(time), np.nan)
         if name in columns:
-            out[single] = stream.values[first[single], columns[name]]
+            out[single] = stream.values[near[single], columns[name]]
         return out
 
+    every = stream.values[:, [columns[name] for name in ("px", "py", "pz")]] * given.factor
+    near, single = first, last - first == 1
+    if len(times) > 1:
+        near = nearest_rows(times, time)
+        single = _alone(every, near, first, last)
     points = np.stack([column(name) for name in ("px", "py", "pz")], axis=1) * given.factor
     normals = np.stack([column(name) for name in ("nx", "ny", "nz")], axis=1)
     return points, normals, column("force") if "force" in columns else None
+
+
+def _alone(points: Array, near: Array, first: Array, last: Array) -> NDArray[np.bool_]:
+    """Whether there are points (k, 3), m, in the rows from `first` (n,) up to `last` (n,), all
+    within SAME_CONTACT of that in the row `near` (n,)."""
+    count = last - first
+    owner = np.repeat(np.arange(len(near)), count)
+    rows = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - first, count)
+    apart = np.linalg.norm(points[rows] - points[near[owner]], axis=1) > SAME_CONTACT
+    return np.asarray((count > 0) & (np.bincount(owner, apart, len(near)) == 0))
 
 
 def _pose_at(stream: Stream, given: StreamMap, time: Array) -> tuple[Array, Any]:

@@ -51,6 +51,9 @@ FROM_TAXELS = "taxels"
 JOINT_ANGLES = "joint angles"
 """Value of "source" in the metadata where contacts were computed from joint angles: their normals
 are those of the body's surface."""
+UNCOMPARED = "not compared"
+"""Value of "clock" in the metadata where the clock of the skin was not compared with that of the
+contacts."""
 _PARTS = ("contacts", "readings", "motion")
 
 

@@ -31,6 +31,8 @@ class LogFrames:
     offsets: tuple[ClockOffset, ...]
     """Estimates of the clock offset, the best first; empty where there is none."""
     notes: tuple[str, ...]
+    clock_compared: bool = True
+    """Whether the clock of the skin is that of the other streams, or its offset is known."""
 
 
 def log_frames(log: Log, log_map: LogMap) -> LogFrames:
@@ -57,10 +59,11 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     times = skins[0][0].times - (skins[0][1].delay or 0.0)
     base = tared[skins[0][0].name]
     offsets = _offsets(times, base, pairs) if skins[0][1].delay is None else ()
-    offset = 0.0
+    offset, compared = 0.0, True
     if offsets and offsets[0].usable:
         offset = offsets[0].offset
     elif skins[0][1].delay is None and any(m.kind not in (TAXELS, CONTACTS) for _, m in pairs):
+        compared = False
         notes.append(
             "the onsets of this log do not tell the clock offset of the skin: it is taken as 0, or "
             "estimated with the taxels where joint angles are calibrated; for the onsets, press "
@@ -89,7 +92,7 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
         offset if offsets else skins[0][1].delay or 0.0,
         offsets[0].sigma if offsets and offsets[0].usable else None,
     )  # fmt: skip
-    return LogFrames(skin_log, tared, offsets, tuple(notes))
+    return LogFrames(skin_log, tared, offsets, tuple(notes), compared)
 
 
 Pairs = list[tuple[Stream, StreamMap]]

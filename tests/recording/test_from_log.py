@@ -11,7 +11,7 @@ from meshskin.core.errors import ConfigError, MeshskinError, RecordingError
 from meshskin.recording.from_log import recording_from_log
 from meshskin.recording.log_map import LogMap, StreamMap
 from meshskin.recording.readers import read_log
-from meshskin.recording.recording import Recording
+from meshskin.recording.recording import UNCOMPARED, Recording
 from meshskin.recording.resample import log_frames
 from meshskin.recording.stream import Log, Stream
 
@@ -87,6 +87,9 @@ def test_an_offset_that_cannot_be_told_is_said(streams):
     frames = log_frames(log_of(still, log_map), log_map)
     assert (frames.skin_log.clock_offset, frames.skin_log.clock_sigma) == (0.0, None)
     assert "do not tell the clock offset" in frames.notes[0]
+    assert not frames.clock_compared
+    given = LogMap((MAP.streams[0], replace(MAP.streams[2], delay=0.037)))
+    assert log_frames(log_of(still, given), given).clock_compared
 
 
 def test_frames_in_gaps_are_left_out(streams):
@@ -189,6 +192,9 @@ def test_a_recording_has_the_contact_points_in_the_body_frame(streams, tmp_path)
     turned = Rotation.from_rotvec(np.outer(recording.time, [0.1, 0, 0.02]))
     np.testing.assert_allclose(recording.headings, turned.as_matrix(), atol=1e-5)
     assert recording.metadata["readings"] == "raw"
+    assert "clock" not in recording.metadata
+    untold = recording_from_log(log, log_map, replace(frames, clock_compared=False))
+    assert untold.metadata["clock"] == UNCOMPARED
     assert len(recording.pressure) == 25 * len(recording.time)
     assert np.abs(recording.time_lag).max() == 0
     recording.save(tmp_path / "log")
@@ -196,20 +202,27 @@ def test_a_recording_has_the_contact_points_in_the_body_frame(streams, tmp_path)
     assert again.metadata["taxel_ids"] == list(range(25))
 
 
-def test_contacts_of_a_stream_are_taken_where_there_is_one(streams):
-    time = np.arange(0, ROBOT.duration, 1 / 50) + 0.004
+@pytest.mark.parametrize(("rate", "second"), [(50, None), (200, None), (50, 20.0)])
+def test_contacts_of_a_stream_are_taken_where_there_is_one(streams, rate, second):
+    """second: distance, mm, of another contact at the same times in the second half of the log."""
+    time = np.arange(0, ROBOT.duration, 1 / rate) + 0.004
     depth, site = ROBOT.stroke(time)
-    pressed = depth > 0
-    rows = np.column_stack([ROBOT.sites[site], 0 * time])[pressed] * 1e3
+    time, pressed = time[depth > 0], depth > 0
+    rows = np.column_stack([ROBOT.sites[site], 0 * depth])[pressed] * 1e3
+    if second is not None:
+        twice = np.repeat(np.arange(len(time)), 1 + (time > ROBOT.duration / 2))
+        other = np.diff(twice, prepend=-1) == 0
+        time, rows = time[twice], rows[twice] + second * np.outer(other, [1.0, 0.0, 0.0])
     log_map = LogMap((*MAP.streams, StreamMap("/touch", "contacts", unit="mm")))
-    log = log_of({**streams, "/touch": (time[pressed], rows)}, log_map)
+    log = log_of({**streams, "/touch": (time, rows)}, log_map)
     touch = replace(log.streams[3], fields=("px", "py", "pz"))
     log = replace(log, streams=(*log.streams[:3], touch))
     recording = recording_from_log(log, log_map, log_frames(log, log_map))
     _, site = ROBOT.stroke(recording.time)
     np.testing.assert_allclose(recording.points[:, :2], ROBOT.sites[site], atol=1e-9)
     assert np.isnan(recording.normals).all()
-    assert len(recording.time) > 300
+    assert len(recording.time) > (300 if second is None else 150)
+    assert second is None or recording.time.max() < ROBOT.duration / 2
 
 
 def test_readings_in_pascals_are_recorded_above_their_noise(streams):

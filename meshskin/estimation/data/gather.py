@@ -102,6 +102,7 @@ def _measurements(
         directions=hit.direction,
         curvature=hit.curvature,
         force=force,
+        force_measured=recording.force_measured,
         patches=patches,
         model=model,
         contact=row[selected.contacts],

@@ -66,6 +66,8 @@ class Measurements:
     """Upper end (n,), Pa, of each taxel's range: readings of this and more are saturated."""
     constant: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
     """Taxels (n,) bool whose recorded readings never change."""
+    force_measured: bool = True
+    """Whether the forces were measured; else all are a reference force."""
     falling: bool = False
     """Whether the recorded readings fall with pressure: raw ones that were turned."""
     parameters: GlobalParameters = MODULUS

@@ -109,6 +109,8 @@ def alike_errors(effects: RandomEffects, covariances: Array) -> AlikeErrors:
     weight = believed
     for _ in range(3):  # the sampling errors depend on the weights, but little
         sigma = np.sqrt(deviation**2 @ weight**2 + (MODEL_ERROR * at_zero) ** 2 + 1e-20)
+        if not effects.data.force_measured:  # they follow a stroke, like no field
+            sigma[RINGS + 1 : 2 * (RINGS + 1)] = np.inf
         weight, misfit = nnls(mean / sigma[:, None], seen / sigma)
     white = nnls(mean[:, :3] / sigma[:, None], seen / sigma)[1]
     if white**2 - misfit**2 < MIN_GAIN:
@@ -135,9 +137,10 @@ class _Correlograms:
         self.clear = np.flatnonzero(effects.clear())
         reach = float(np.median(data.reach()[self.used]))
         self.length, self.rng = LENGTH * reach, np.random.default_rng(0)
-        self.units = max(d.position, 0.01 * reach), max(d.force, FORCE_UNIT), 1.0
-        self.believed = (d.position / self.units[0]) ** 2, (d.force / self.units[1]) ** 2, 1.0
-        """Variances that the estimate believes the errors to have, in the drawn ones'."""
+        force = effects.force_scatter
+        self.units = max(d.position, 0.01 * reach), max(force, FORCE_UNIT), 1.0
+        self.believed = (d.position / self.units[0]) ** 2, (force / self.units[1]) ** 2, 1.0
+        """Variances that the estimate finds the errors to have, in the drawn ones'."""
         far, own = FAR * reach, readings.taxel[self.clear]
         at = data.points[readings.contact[self.clear]]
         self.contacts = _rings(data.points[self.used], far)

@@ -45,6 +45,11 @@ FLOOR = {
     "drift": 1e-3,
 }
 """Least deviations: far below what any recording can tell from zero."""
+UNMEASURED_FORCE = 0.3
+"""Least deviation of ln F where forces were not measured: neighbouring contacts of a stroke share
+their errors, which a smaller one would take for independent. With it each contact's own readings
+determine its force. A touch is left out where its force is below 0.6 of that in the same place
+(kinematics/steady.py): the others are within a factor of 1.4 or so."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,8 @@ class Deviations:
     """Of a taxel's offset, in units of `Measurements.sigma`."""
     drift: float = 1.0
     """Of the offset's drift over the recording, in units of `Measurements.sigma`."""
+    least_force: float = FLOOR["force"]
+    """Least `force`; UNMEASURED_FORCE where the forces were not measured."""
 
     def noise_of(self, mu: Array, uneven: Array | float = 0.0) -> Array:
         """Standard deviation (k,) of readings with the expectations mu (k,), in contacts with
@@ -100,8 +107,9 @@ class Deviations:
             step, gain = log_step(effect, careful)
             if 0.0 < gain < SMALL_GAIN:
                 step = 0.0
-            found[name] = float(max(sigma * np.exp(step / 2), FLOOR[name]))
-            largest = max(largest, gain if found[name] > FLOOR[name] else 0.0)
+            least = self.least_force if name == "force" else FLOOR[name]
+            found[name] = float(max(sigma * np.exp(step / 2), least))
+            largest = max(largest, gain if found[name] > least else 0.0)
         return replace(self, **found), largest
 
     def with_noise(

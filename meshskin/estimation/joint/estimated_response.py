@@ -32,7 +32,7 @@ def learned_response(
         **first,
         contact_scatter=effects.deviations.position,
         contact_correlation=neighbour_correlation(effects),
-        force_scatter=effects.deviations.force,
+        force_scatter=effects.force_scatter,
         alike_contacts=alike.factor,
         alike_parts=alike.parts,
         noise=effects.deviations.noise * data.sigma * data.unit,

@@ -38,7 +38,7 @@ from ..trilateration import coactivation, trilaterate
 from . import fault_detection
 from .contacts import LinearizedContacts
 from .departure_search import plausible, with_departures
-from .deviations import Deviations
+from .deviations import UNMEASURED_FORCE, Deviations
 from .joint_estimator import JointEstimator
 from .jump import largest_jump
 from .learned_modules import moved_to_modules
@@ -231,7 +231,11 @@ def _begin(
     readings = select(data, live, charts.points, charts.normals, 0.0, weight, np.ones(len(live)))
     noise = 1.0 if data.belief.noise_sigma is not None else _first_noise(start, data)
     data = replace(data, response_levels=_response_levels(data, readings, unknowns))
-    return RandomEffects(data, readings, unknowns, Deviations(noise=noise), stage=stage)
+    deviations = Deviations(noise=noise)
+    if not data.force_measured:
+        least = UNMEASURED_FORCE
+        deviations = replace(deviations, force=least, least_force=least)
+    return RandomEffects(data, readings, unknowns, deviations, stage=stage)
 
 
 def _response_levels(data: Measurements, readings: Readings, u: Unknowns) -> tuple[float, float]:

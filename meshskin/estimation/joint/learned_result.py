@@ -236,7 +236,8 @@ def _shared_values(effects: RandomEffects, covariance: Array) -> dict[str, tuple
     for label in parameters.labels[parameters.columns["profile"]]:
         del found[label]
     found["contact_scatter"] = d.position, d.position / float(np.sqrt(4 * m))
-    found["force_scatter"] = d.force, d.force / float(np.sqrt(2 * m))
+    force = effects.force_scatter
+    found["force_scatter"] = force, force / float(np.sqrt(2 * m))
     return found
 
 

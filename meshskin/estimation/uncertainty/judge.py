@@ -87,6 +87,7 @@ def judge(
         lambda: verdict.profile(data, calibration),
         lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
+        lambda: verdict.clocks(recording, data, calibration),
         lambda: _faults(calibration),
         lambda: _contacts(data, calibration),
     )

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...contact.disc import disc_mean
-from ...core.arrays import Array
+from ...core.arrays import Array, means_by_group
+from ...recording.recording import UNCOMPARED
 from ...scene.belief import RAW
+from ..data import delay
 from ..data.sensor_range import unanswered_contacts
 from ..joint.contact_correlations import KINDS
 from ..result import LearnedResponse, ids_in_words
@@ -38,6 +40,10 @@ MAX_LAG = 0.1
 """Time of the readings after their contacts, in frames, from which clocks are in doubt."""
 MAX_UNANSWERED = 0.02
 """Fraction of contacts beside answered ones that nothing answers, from which they are a doubt."""
+ONE_WAY = 0.5
+"""Mean displacement of a taxel's contacts from frame to frame, relative to the mean of its size,
+from which the passes over it have one direction: equal passes both ways have 0, 14 in directions by
+chance 0.24 +- 0.12."""
 MIN_CONTACTS = 10
 """Contacts, at least, to judge their columns."""
 LAW = 1 / 3
@@ -280,6 +286,31 @@ def pressures(recording: Recording, data: Measurements) -> list[Finding]:
         )
         found.append((DOUBT, words))
     return found
+
+
+def clocks(recording: Recording, data: Measurements, calibration: Calibration) -> list[Finding]:
+    """Clocks of skin and contacts that were not compared, where the passes over the taxels have one
+    direction: a delay then displaces all taxels alike, and no reading shows it."""
+    if recording.metadata.get("clock") != UNCOMPARED or not len(data.pressure):
+        return []
+    moved, rows = delay.displacements(data, 1)
+    owner, weight = data.taxel[rows], data.pressure[rows] ** 2
+    mean = np.linalg.norm(means_by_group(moved, owner, len(data.ids), weight), axis=1)
+    size = means_by_group(np.linalg.norm(moved, axis=1), owner, len(data.ids), weight)
+    known = size > 0
+    if not known.any() or np.median(mean[known] / size[known]) < ONE_WAY:
+        return []
+    typical, stated = float(np.median(mean[known])), float(np.nanmedian(calibration.position_sigma))
+    if typical < stated:
+        return []
+    words = (
+        "the clock of the skin was not compared with that of the contacts, and these pass the "
+        f"taxels in one direction: readings that are 1 frame late displace taxels by "
+        f"{1e3 * typical:.2g} mm, which is not in the standard deviations of "
+        f"{1e3 * stated:.2g} mm (limit); stroke both ways, press and retract along one path at "
+        "five places, or give delay_ms in the map"
+    )
+    return [(DOUBT, words)]
 
 
 def times(recording: Recording) -> list[Finding]:

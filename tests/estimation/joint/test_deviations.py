@@ -1,5 +1,7 @@
 """Variances from the data: in a linear model with known truth, unbiased."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -94,3 +96,12 @@ def test_few_readings_in_uneven_contacts_show_what_is_believed():
 def test_noise_grows_with_the_reading():
     d = Deviations(noise=3.0, relative=0.1)
     np.testing.assert_allclose(d.noise_of(np.array([-5.0, 0.0, 40.0])), [3.0, 3.0, 5.0])
+
+
+def test_the_force_of_contacts_whose_force_was_not_measured_keeps_its_least_deviation():
+    small = {"force": Effects(square=1.0, determined=500.0, information=400.0, count=1000)}
+    moved, gain = Deviations(force=0.3, least_force=0.3).moved(small)
+    assert (moved.force, gain) == (0.3, 0.0)
+    assert Deviations(force=0.3).moved(small)[0].force < 0.2
+    large = {"force": replace(small["force"], square=900.0)}
+    assert Deviations(force=0.3, least_force=0.3).moved(large)[0].force > 0.3

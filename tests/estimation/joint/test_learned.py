@@ -23,7 +23,7 @@ from meshskin.estimation.joint.likelihood import Likelihood
 from meshskin.estimation.joint.readings import select
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Cap
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACTS, NOMINAL, READINGS, Recording
 from meshskin.scene.belief import Belief
 from meshskin.scene.scene import Scene
 from meshskin.simulation.static_contacts import press
@@ -118,6 +118,20 @@ def errors(calibration):
     assert np.isfinite(off).all()
     stated = np.trace(calibration.covariances[:, :2, :2], axis1=1, axis2=2)
     return np.sqrt(np.mean(off**2)), np.sqrt(np.mean(stated))
+
+
+@pytest.mark.parametrize(("wave", "noise"), [(0.05, 0.01), (0.1, 0.02)])
+def test_unmeasured_forces_whose_errors_neighbouring_contacts_share(wave, noise):
+    felt = FORCE * (1 + wave * np.sin(0.1 * np.arange(500)))[:, None]
+    points, _, *readings = world(lambda r, _: hertz(r, felt), noise=noise)
+    given = recording(points, np.full(500, FORCE), *readings)
+    given = replace(given, metadata={**given.metadata, "force": NOMINAL})
+    found = calibrate(given, belief(contact="learned", readings="raw"))
+    assert found.verdict.level == "PASS"
+    off, stated = errors(found)
+    assert 0.8 < stated / off < 1.25
+    scatter, _ = found.unknowns["force_scatter"]
+    assert 0.9 * wave / 2**0.5 < scatter < 1.4 * wave / 2**0.5  # with what noise has in it
 
 
 @pytest.mark.parametrize("groups", [(), (range(5, 12), [0, 20])])

@@ -49,6 +49,10 @@ class StrokingRobot:
     """Standard deviation of the postures, rad."""
     offset: float = np.radians(1.0)
     """Largest error of a joint's zero, rad."""
+    unsteady: float = 0.05
+    """Amplitude of the force's wave over a stroke, relative to FORCE."""
+    beat: float = 3.0
+    """Frequency of that wave, Hz."""
     seed: int = 1
 
     @cached_property
@@ -114,7 +118,8 @@ class StrokingRobot:
         rise = round(RAMP / STEP)
         ramp = 0.5 - 0.5 * np.cos(np.pi * np.arange(rise) / rise)
         count = len(line)
-        wave = 1 + 0.05 * np.sin(2 * np.pi * 3 * STEP * np.arange(count) + rng.uniform(0, 6))
+        phase = 2 * np.pi * self.beat * STEP * np.arange(count) + rng.uniform(0, 6)
+        wave = 1 + self.unsteady * np.sin(phase)
         ends = np.zeros(down + rise, int), np.full(rise + down, count - 1)
         rows = np.concatenate([ends[0], np.arange(count), ends[1]])
         lifted, begin = HEIGHT * np.linspace(0, 1, down), ramp * wave[0]

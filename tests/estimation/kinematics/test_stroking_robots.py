@@ -3,6 +3,8 @@
 The URDF files are those of the wheel `example-robot-data` (the extra `robots`).
 """
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from meshskin.estimation.uncertainty.metrics import position_errors
 from meshskin.recording.log_map import LogMap, StreamMap
 from meshskin.recording.readers import read_log
 from meshskin.recording.resample import log_frames
+from meshskin.recording.stream import Log, Stream
 
 from ...recording import robot_log
 from ...robot.test_real_arms import urdf
@@ -25,7 +28,7 @@ ROBOTS = {
 FORCE_MAP = StreamMap("/wrench", "wrench", axis=(0, 0, 1))
 
 
-def standing(name, seed):
+def standing(name, seed, **kind):
     """The robot over an indenter that touches its skin in the middle of its postures."""
     link, posture, about = ROBOTS[name]
     robot = ms.Robot.from_urdf(urdf(name))
@@ -33,7 +36,25 @@ def standing(name, seed):
     touching = np.append(hit.point[0] + RADIUS * hit.normal[0], 1.0)
     chain = robot.contact_kinematics(link, np.zeros(3)).chain
     place = np.linalg.solve(chain.poses(np.array([posture]))[0], touching)[:3]
-    return StrokingRobot(robot, link, tuple(place), posture, tuple(hit.point[0]), seed=seed)
+    return StrokingRobot(robot, link, tuple(place), posture, tuple(hit.point[0]), seed=seed, **kind)
+
+
+UNKNOWN = {
+    "joint_offset": np.radians(1.0),
+    "joint_delay": 0.02,
+    "indenter_position": 2e-3,
+    "clock_offset": 0.05,
+}
+
+
+def calibrated(world, log):
+    """The calibration of a log of the robot's."""
+    kinematics = world.robot.contact_kinematics(world.link, world.place, unknown=UNKNOWN)
+    belief = ms.Belief(
+        body=world.scene.body, indenter=ms.Indenter.sphere(RADIUS),
+        material=ms.Material(young=YOUNG), taxel_ids=log.taxel_ids, readings="raw",
+    )  # fmt: skip
+    return calibrate_log(log, kinematics, belief)
 
 
 @pytest.mark.slow
@@ -49,18 +70,7 @@ def test_a_bag_with_forces_alone(tmp_path, monkeypatch, name):
     true_force = np.interp(log.time - robot_log.EPOCH, world.motion[0], world.motion[3])
     late = log.clock_offset
     assert np.abs(np.median((log.force - true_force)[true_force > 2.5])) < 0.02
-    unknown = {
-        "joint_offset": np.radians(1.0),
-        "joint_delay": 0.02,
-        "indenter_position": 2e-3,
-        "clock_offset": 0.05,
-    }
-    kinematics = world.robot.contact_kinematics(world.link, world.place, unknown=unknown)
-    belief = ms.Belief(
-        body=world.scene.body, indenter=ms.Indenter.sphere(RADIUS),
-        material=ms.Material(young=YOUNG), taxel_ids=log.taxel_ids, readings="raw",
-    )  # fmt: skip
-    found = calibrate_log(log, kinematics, belief)
+    found = calibrated(world, log)
     assert found.calibration.verdict.level == "PASS"
     value, sigma = found.unknowns["clock_offset"]
     assert abs(value + late - CLOCK) < 2e-3
@@ -76,3 +86,31 @@ def test_a_bag_with_forces_alone(tmp_path, monkeypatch, name):
     errors = position_errors(found.calibration, world.scene.skin)
     assert np.isfinite(errors).sum() >= 0.85 * count
     assert np.sqrt(np.nanmean(errors**2)) < 8e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("beat", [0.5, 3.0, 10.0])
+def test_a_log_without_forces(name, beat):
+    world = standing(name, 1, beat=beat)
+    streams, count = world.streams(), len(world.scene.skin)
+    fields = {"/joint_states": world.chain.joint_names, "/skin": tuple(map(str, range(count)))}
+    log_map = LogMap(
+        (StreamMap("/joint_states", "joints"), StreamMap("/skin", "taxels", length=count))
+    )
+    log = Log(
+        Path("log.mcap"),
+        tuple(
+            Stream(m.topic, "", *streams[m.topic], fields[m.topic], m.kind, m.unit)
+            for m in log_map.streams
+        ),
+    )
+    log = log_frames(log, log_map).skin_log
+    found = calibrated(world, log)
+    assert found.calibration.verdict.level == "PASS"
+    value, sigma = found.unknowns["clock_offset"]
+    assert abs(value + log.clock_offset - CLOCK) < 4 * sigma
+    errors = position_errors(found.calibration, world.scene.skin)
+    assert np.isfinite(errors).sum() >= 0.85 * count
+    assert np.nanmax(errors / found.calibration.position_sigma) < 4
+    assert np.sqrt(np.nanmean(errors**2)) < 2e-4

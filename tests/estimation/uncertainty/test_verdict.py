@@ -15,19 +15,20 @@ from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.uncertainty import verdict
 from meshskin.estimation.uncertainty.weighted_means import surrounded
-from meshskin.recording.recording import Recording
+from meshskin.recording.recording import UNCOMPARED, Recording
 
 CONTACTS = 500
 
 
-def lanes(scene, seed):
-    """Points (m, 3), m, near the taxels, in the order of back-and-forth lanes 2 mm apart."""
+def lanes(scene, seed, back=-1):
+    """Points (m, 3), m, near the taxels, in the order of lanes 2 mm apart, back and forth; back=1:
+    all in one direction."""
     rng, skin = np.random.default_rng(seed), scene.skin
     k = rng.integers(len(skin), size=CONTACTS)
     points = skin.positions[k] + rng.uniform(-5e-3, 5e-3, (CONTACTS, 3))
     points = scene.body.closest(points).point
     lane = np.floor(points[:, 0] / 2e-3).astype(int)
-    return points[np.lexsort((points[:, 1] * np.where(lane % 2, 1, -1), lane))]
+    return points[np.lexsort((points[:, 1] * np.where(lane % 2, 1, back), lane))]
 
 
 def log(scene, seed=0):
@@ -227,6 +228,20 @@ def test_late_readings_are_named(noisy, recorded, frames):
     found = ms.calibrate(late(recorded, frames), noisy.belief())
     assert found.verdict.level == "DOUBT"
     assert any(f"{frames} frames too late" in reason for reason in found.verdict.reasons)
+
+
+@pytest.mark.parametrize(("back", "level"), [(-1, "PASS"), (1, "DOUBT")])
+def test_clocks_that_were_not_compared_are_named_where_strokes_have_one_direction(
+    noisy, back, level
+):
+    made = ms.press(noisy, lanes(noisy, 0, back), force=3.0, seed=0)
+    made = Recording(made.contacts, made.readings, {"clock": UNCOMPARED, **made.metadata})
+    found = ms.calibrate(made, noisy.belief())
+    assert found.verdict.level == level
+    assert all("clock of the skin was not compared" in words for words in found.verdict.reasons)
+    metadata = {key: made.metadata[key] for key in made.metadata if key != "clock"}
+    again = ms.calibrate(Recording(made.contacts, made.readings, metadata), noisy.belief())
+    assert again.verdict.level == "PASS"
 
 
 @pytest.mark.slow
