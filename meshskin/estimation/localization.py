@@ -91,8 +91,8 @@ class CalibratedSkin:
             deviations = Deviations(
                 response.noise / (data.sigma * data.unit),
                 response.noise_relative,
-                response.contact_scatter,
-                response.force_scatter,
+                position=response.contact_scatter,
+                force=response.force_scatter,
             )
         data, nuisance = _with_taxel_unknowns(calibration, data)
         data, s = _in_place(data, _shared(calibration, data))
@@ -274,7 +274,7 @@ class CalibratedSkin:
         mu, jacobian = self._predict(data, contact, taxel, where)
         off = data.pressure[rows] / data.sigma - mu
         own = np.einsum("ik,kij,jk->k", jacobian[:3], self.covariances[taxel], jacobian[:3])
-        edge = data.spread[contact] ** 2 / data.sigma**2 - 1.0
+        edge = 1 / data.precision[contact] - 1
         variance = d.noise_of(mu) ** 2 + edge + own
         last = 3 + self.nuisance.shape[1] + len(self.s)
         shared = jacobian[last : last + 3].T * [d.position, d.position, d.force]

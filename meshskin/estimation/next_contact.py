@@ -23,6 +23,7 @@ from ..core.value import Value
 from . import chart
 from .data.measurements import NOMINAL_NOISE
 from .data.pairs import MAX_SLANT
+from .data.patch_shape import over_edges
 from .data.resolve_belief import contact_model, with_valid_model
 from .joint.contact_state import Contacts
 from .joint.pressure import disc_means
@@ -210,7 +211,7 @@ def expected_slopes(
 ) -> tuple[np.ndarray, np.ndarray, Array]:
     """Pairs of contacts (p,) at the points `hit` and taxels (p,) in reach, and the square roots
     (p, 2), 1/m, of their expected information: derivatives of the reading in units of its noise,
-    weighted for censoring at the threshold.
+    weighted for censoring at the threshold, and over edges of the body as in the estimate.
     """
     from scipy.spatial import cKDTree
 
@@ -229,7 +230,9 @@ def expected_slopes(
     contacts = Contacts(hit.point, hit.normal, hit.direction, patches, (), none, None)
     mean, slope, _ = disc_means(belief.contact, offset, contact, contacts, belief.disc_radius)
     scale = patches.peak[contact] / sigma
+    edge = over_edges(belief, hit, np.full(len(hit.point), belief.force_reference or 0.0))
     weight = censored_information(belief.threshold / sigma - scale * mean)
+    weight = weight / (1 + (edge[contact] * scale) ** 2)
     along = np.einsum("pi,pij->pj", slope, charts.tangents[taxel])
     return contact, taxel, (np.sqrt(weight) * scale)[:, None] * along
 

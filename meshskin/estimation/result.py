@@ -82,6 +82,9 @@ class LearnedResponse(Value):
     """Standard deviation of a reading, its constant part."""
     noise_relative: float
     """Its part proportional to the reading."""
+    edge_error: float = 0.0
+    """Rms error of the readings over edges of the body, relative to its heights over quadrics there
+    and the peak (`patch_shape.unevenness`)."""
     alike_contacts: float = 1.0
     """Factor of the variances by errors that neighbouring contacts share; 1 where chance explains
     them (joint/contact_correlations.py)."""

@@ -92,8 +92,10 @@ class Measurements:
     """Estimated errors (m, 3) of the contacts: displacements along the patches' semi-axes, m, and
     errors of ln F; None: none."""
     unevenness: Array = field(default_factory=lambda: np.empty(0))
-    """Parts (m,) of the peak pressures by which those of the contacts differ from the contact
-    model's over edges (`patch_shape.over_edges`); empty: none, or the response is learned."""
+    """Parts (m,) of the peak pressures by which those of the contacts differ over edges
+    (`patch_shape.over_edges`); empty: none, or the response is yet to be learned."""
+    edge_error: float | None = None
+    """`LearnedResponse.edge_error`; None: not learned."""
     time: Array = field(default_factory=lambda: np.empty(0))
     """Times (m,), s, of the contacts."""
     recorded: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))

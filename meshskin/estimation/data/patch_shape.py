@@ -73,8 +73,11 @@ def unevenness(belief: Belief, hit: Closest, radius: Array | float) -> Array:
     of patches of `radius` (m,), m, relative to the depth of a ball's impression there.
 
     Where the body has an edge within a patch no quadric describes it: pressures there differ from
-    those of any contact model by about this part of the peak, which is what a thin layer's do.
+    those of any contact model by about this part of the peak, which is what a thin layer's do. An
+    exact surface has no edges.
     """
+    if not hasattr(belief.body, "surface") or not len(hit.point):
+        return np.zeros(len(hit.point))
     size = np.broadcast_to(RIM * np.asarray(radius), len(hit.point))
     rim = PLACES[1 + SPOKES :] * size[:, None, None]
     across = np.cross(hit.normal, hit.direction)
@@ -84,14 +87,16 @@ def unevenness(belief: Belief, hit: Closest, radius: Array | float) -> Array:
     return np.asarray(np.sqrt(np.mean(apart**2, axis=1)) * belief.indenter.radius / size**2)
 
 
-def over_edges(belief: Belief, hit: Closest, force: Array) -> Array:
+def over_edges(belief: Belief, hit: Closest, force: Array, learned: float | None = None) -> Array:
     """Parts (m,) of the peak pressures by which those of the contacts `hit` differ from a contact
-    model's, rms: 0 but where they are over an edge of the body; an exact surface has none.
+    model's, rms: 0 but where they are over an edge of the body.
 
-    force (m,), N: of each contact.
+    force (m,), N: of each contact. learned: the edge error of a learned response, in place of the
+    model's.
     """
-    if not hasattr(belief.body, "surface") or not len(hit.point):
-        return np.zeros(len(hit.point))
+    if learned is not None:
+        radius = plane_radius(belief, belief.force_reference or 1.0)
+        return learned * unevenness(belief, over_patches(belief, hit, force), radius)
     found = unevenness(belief, hit, plane_radius(belief, force))
     return np.where(found > EDGE, EDGE_ERROR * found, 0.0)
 

@@ -37,6 +37,7 @@ def learned_response(
         alike_parts=alike.parts,
         noise=effects.deviations.noise * data.sigma * data.unit,
         noise_relative=effects.deviations.relative,
+        edge_error=effects.deviations.shape,
         extent=data.profile_extent,
         levels=data.response_levels,
         unit=data.unit,

@@ -32,6 +32,7 @@ from ..data.global_parameters import (
     declared_parameters,
 )  # fmt: skip
 from ..data.measurements import Measurements
+from ..data.patch_shape import over_edges
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import EstimatorResult, LearnedResponse
 from ..trilateration import coactivation, trilaterate
@@ -201,8 +202,11 @@ def as_learned(
     groups = tuple(other.taxels for other in response.others)
     data = replace(data, belief=replace(data.belief, response_groups=groups))
     data = replace(data.referred_to(response.references), learned=True)
+    hit, error = data.body.closest(data.points), response.edge_error
     return replace(
         with_learned_response(data, positions),
+        unevenness=over_edges(data.belief, hit, data.force, error),
+        edge_error=error,
         profile_extent=response.extent,
         response_levels=response.levels,
         pressure=data.pressure * scale,

@@ -200,7 +200,7 @@ def contacts_of(
         directions=hit.direction,
         curvature=hit.curvature,
         force=kept.force,
-        unevenness=np.empty(0) if template.learned else over_edges(belief, hit, kept.force),
+        unevenness=over_edges(belief, hit, kept.force, template.edge_error),
         time=np.zeros(len(kept)) if kept.time is None else kept.time,
         patches=nominal_patches(model, belief, kept.force, hit.curvature),
         headings=headings,

@@ -63,10 +63,8 @@ class ContactStore:
         self.template = first
         shapes: dict[str, tuple[int, ...]] = {
             "points": (3,), "normals": (3,), "directions": (3,), "curvature": (2,), "force": (),
-            "time": (),
+            "time": (), "unevenness": (),
         }  # fmt: skip
-        if not first.learned:
-            shapes["unevenness"] = ()
         if first.headings is not None:
             shapes["headings"] = (3, 3)
         if first.contact_errors is not None:

@@ -24,6 +24,7 @@ from ...core.progress import Progress, Stage
 from ...core.value import Value
 from .. import chart
 from ..data.measurements import Measurements
+from ..data.patch_shape import over_edges
 from ..data.resolve_belief import contact_model, with_valid_model
 from ..next_contact import candidates_around, reference_patches
 from . import errors as error_model
@@ -136,11 +137,11 @@ def _candidates(known: SkinMap, belief: Belief, tested: np.ndarray) -> Measureme
     radius = float(reference_patches(belief, np.zeros((1, 2)), modulus).first[0])
     charts = chart.charts_at(belief.body, known.points[rows])
     hit = belief.body.closest(candidates_around(charts, radius, RINGS))
-    none = np.zeros(0, dtype=int)
+    none, force = np.zeros(0, dtype=int), np.full(len(hit.point), belief.force_reference)
     return Measurements(
         belief=replace(belief, taxel_ids=known.ids),
         points=hit.point, normals=hit.normal, directions=hit.direction,
-        curvature=hit.curvature, force=np.full(len(hit.point), belief.force_reference),
+        curvature=hit.curvature, force=force, unevenness=over_edges(belief, hit, force),
         patches=reference_patches(belief, hit.curvature, modulus), model=contact_model(belief),
         contact=none, taxel=none, pressure=np.zeros(0), noise=belief.noise_sigma,
         threshold=belief.threshold, ends=np.full(len(known.ids), np.inf),

@@ -7,11 +7,13 @@ errors common to all. Errors of places act through a fit of mu at five points, s
 deviations apart (Gauss-Hermite), so that the edge of a patch is not taken for a straight slope.
 The readings of a unit are then normal with the covariance
 
-    C = sigma^2 + rho^2 mu^2 + bend + tau^2 [same contact] A A^T + A S_i A^T [same taxel] + common,
+    C = sigma^2 + rho^2 mu^2 + bend + edge
+        + tau^2 [same contact] A A^T + A S_i A^T [same taxel] + common,
 
-A (k, 3) being the slopes of mu; silent ones are below the threshold, given the others. Errors of
-the forces, gains and offsets that the map states enter likewise. Where the calibration of the map
-learned the response, mu is that response.
+A (k, 3) being the slopes of mu, and edge the variance of readings in contacts over edges of the
+body; silent ones are below the threshold, given the others. Errors of the forces, gains and offsets
+that the map states enter likewise. Where the calibration of the map learned the response, mu is
+that response.
 """
 
 from __future__ import annotations
@@ -79,7 +81,7 @@ class Block:
     slope: Array
     """A (q, 3), 1/m."""
     bend: Array
-    """Variance (q,) by the curvature of mu."""
+    """Variance (q,) by the curvature of mu, and by edges of the body."""
     by_modulus: Array
     """d mu / d ln E* (q,)."""
     by_scale: Array
@@ -149,6 +151,8 @@ class Touches:
             self.log_modulus = float(skin.s[at["modulus"]].min())  # of the widest patches
             self.groups = skin.data.groups
         self.threshold = data.threshold / self.unit
+        self.edges = (1 / data.precision - 1) * (data.sigma / self.unit) ** 2
+        """Variance (m,) of readings by edges of the body under the contacts."""
         m, n = len(data.points), len(data.ids)
         self.level = np.full((m, n), np.nan)
         self.level[data.contact, data.taxel] = data.pressure / self.unit
@@ -243,7 +247,8 @@ class Touches:
         scale = float(np.exp(errors.log_scale))
         mean, bend = around[0] + curve[0] + curve[1], 2 * (curve[0] ** 2 + curve[1] ** 2)
         by_modulus = (stiffer - around[0]) / E_STEP
-        return scale * mean, scale * slope, scale**2 * bend, scale * by_modulus
+        bend = scale**2 * bend + self.edges[contact]
+        return scale * mean, scale * slope, bend, scale * by_modulus
 
     def _means(
         self, offset: Array, contact: np.ndarray, log_modulus: float, group: np.ndarray | int = 0

@@ -5,6 +5,7 @@ overlap of the indenter with the layer along the face's normal, and a taxel read
 disc.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -14,6 +15,11 @@ import trimesh
 
 import meshskin as ms
 from meshskin.estimation.data.gather import gather
+from meshskin.estimation.data.patch_shape import over_edges
+from meshskin.estimation.localization import CalibratedSkin
+from meshskin.estimation.next_contact import next_contacts
+from meshskin.estimation.online.frames import RecordedFrames
+from meshskin.estimation.online.known_response import KnownResponse
 from meshskin.estimation.trilateration.trilaterate import with_noise_off_edges
 from meshskin.recording.recording import CONTACTS, READINGS, Recording
 
@@ -154,6 +160,44 @@ def test_noise_by_circles_off_edges(belief):
     known = believed.with_(noise_sigma=2e3)
     data = gather(recording(1), known)
     assert with_noise_off_edges(data) is data
+
+
+def test_a_map_tested_by_touches_over_an_edge(belief):
+    """A taxel beside the edge was taken for dead, for it was silent where the model has it read."""
+    believed = contact_model(belief, "elliptic")
+    previous = ms.calibrate(recording(11, 300), believed)
+    found = ms.recalibrate(previous, recording(1, 40), believed)
+    assert not found.findings
+    assert (found.unit_states == "confirmed").sum() > 18
+    touches = recording(1, 40)
+    lost = touches.readings.filter(pa.array(touches.reading_taxel != 6))
+    dead = ms.recalibrate(previous, replace(touches, readings=lost), believed)
+    assert [finding.number for finding in dead.findings] == [6]
+
+
+def test_next_contacts_keep_off_the_edge(belief):
+    """Where readings over the edge counted as others did, the part was 0.12."""
+    believed = contact_model(belief, "elliptic").with_(force_reference=FORCE)
+    chosen = next_contacts(ms.calibrate(recording(1), believed), believed, 8)
+    part = over_edges(believed, believed.body.closest(chosen.points), np.full(8, FORCE))
+    assert part.mean() < 0.05
+
+
+def test_a_calibrated_skin_has_the_errors_of_its_learned_response(belief):
+    taps = recording(1)
+    found = ms.calibrate(taps, belief)
+    skin = CalibratedSkin.of(found, gather(taps, belief))
+    near = np.abs(np.arctan2(*skin.data.points.T[1::-1]) - np.pi / FACES) * APOTHEM < 1e-3
+    response, d = found.response, skin.deviations
+    assert (d.position, d.force) == (response.contact_scatter, response.force_scatter)
+    assert 0.1 < response.edge_error < 0.6
+    assert np.all(skin.data.precision[near] < 0.2)
+    known = KnownResponse.of(found, taps)
+    online = known.online()
+    frames = RecordedFrames(known.recording, online.ids, known.errors)
+    online.update(*frames.part(0, len(taps.points)))
+    stored = online.estimate.store.columns["unevenness"].values
+    assert np.median(stored[near] / skin.data.unevenness[near]) == pytest.approx(1.0, abs=0.1)
 
 
 def narrow(recording, width):
