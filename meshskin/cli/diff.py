@@ -71,7 +71,7 @@ def _skin(path: Path, part: str | None) -> Skin:
 
 def saved_calibration(path: Path) -> Path | None:
     """The file of the calibration saved at `path` or in that folder; None: there is none."""
-    for file in (path, path.with_name(path.name + ".parquet"), path / "calibration.parquet"):
+    for file in (path, path.parent / (path.name + ".parquet"), path / "calibration.parquet"):
         if file.suffix == ".parquet" and file.is_file():
             return file
     return None

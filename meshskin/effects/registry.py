@@ -1,4 +1,4 @@
-"""The registry of effects: the ones in this package and those that other packages add."""
+"""The registry of effects: those of this package, of other packages, and of the program itself."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, cast
 from ..core import config
 from ..core.errors import ConfigError, UnknownNameError
 from ..core.field_docs import document_fields
-from .base import Effect, check_effect
+from .base import BaseEffect, Effect, check_effect
 
 NAMES = (
     "friction", "layer", "elliptic_patch", "disc_averaging", "cover_fabric", "scan_order",
@@ -30,6 +30,7 @@ ENTRY_POINT_GROUP = "meshskin.effects"
 def find(name: str) -> type[Effect]:
     """The effect class called `name`; its module is imported here, its docstring lists its fields.
 
+    After those of this package and of others, the class that the program defined last counts.
     Raises UnknownNameError for an unknown name, and ConfigError where the entry point of another
     package cannot be loaded.
     """
@@ -38,7 +39,10 @@ def find(name: str) -> type[Effect]:
         return cast(type[Effect], document_fields(getattr(module, name.title().replace("_", ""))))
     entry_points = _entry_points()
     if name not in entry_points:
-        raise UnknownNameError("effect", name, {*NAMES, *entry_points})
+        own = _defined(BaseEffect)
+        if name not in own:
+            raise UnknownNameError("effect", name, {*NAMES, *entry_points, *own})
+        return own[name]
     try:
         found = entry_points[name].load()
     except Exception as error:  # the import of another package may raise anything
@@ -92,6 +96,17 @@ def _entry_points() -> dict[str, EntryPoint]:
     from importlib.metadata import entry_points
 
     return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
+
+
+def _defined(base: type[Any]) -> dict[str, type[Effect]]:
+    """The effects among the classes derived from `base`, by name."""
+    found: dict[str, type[Effect]] = {}
+    for kind in base.__subclasses__():
+        if hasattr(kind, "name") and is_dataclass(kind):
+            effect = cast(type[Effect], kind)
+            found[effect.name] = effect
+        found |= _defined(kind)
+    return found
 
 
 def _with_defaults(name: str) -> tuple[Effect, ...]:

@@ -116,7 +116,7 @@ def csv(found: Calibration) -> str:
 
 
 def _part(path: Path, suffix: str) -> Path:
-    return path.with_name(f"{path.name.removesuffix('.parquet')}.{suffix}")
+    return path.parent / f"{path.name.removesuffix('.parquet')}.{suffix}"
 
 
 def _column(values: np.ndarray) -> pa.Array:

@@ -51,7 +51,7 @@ def find(path: Path) -> tuple[Path, Path] | None:
     """
     for contacts, readings in (
         (path / "contacts.csv", path / "readings.csv"),
-        (path.with_name(f"{path.name}.contacts.csv"), path.with_name(f"{path.name}.readings.csv")),
+        (path.parent / f"{path.name}.contacts.csv", path.parent / f"{path.name}.readings.csv"),
     ):
         missing = [file for file in (contacts, readings) if not file.is_file()]
         if len(missing) == 1:

@@ -22,7 +22,7 @@ _KEY = b"meshskin"
 def part_path(path: str | Path, part: str) -> Path:
     """The file that holds one table of the recording at `path`: path.PART.parquet."""
     path = Path(path)
-    return path.with_name(f"{path.name}.{part}.parquet")
+    return path.parent / f"{path.name}.{part}.parquet"
 
 
 def common_part(path: Path) -> Path:

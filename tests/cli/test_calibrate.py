@@ -227,10 +227,11 @@ def test_options_of_a_body_that_do_not_go_together(log, options, words):
         body_of(log, *options)
 
 
-def test_no_log(tmp_path, capsys):
-    asked = ["calibrate", str(tmp_path / "none"), "--scene", "sphere", "--out", str(tmp_path)]
-    assert cli.main(asked) == 2
-    assert "no recording at" in capsys.readouterr().err
+@pytest.mark.parametrize("name", ["none", "."])
+def test_no_log(tmp_path, capsys, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["calibrate", name, "--scene", "sphere", "--out", "out"]) == 2
+    assert f"no recording at {name}: " in capsys.readouterr().err
 
 
 def test_an_export_that_cannot_be_written_is_refused_before_the_work(log, tmp_path, capsys):

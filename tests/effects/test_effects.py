@@ -227,6 +227,23 @@ def test_effect_of_another_package(toy, sphere, recording):
         effects.find("toyy")
 
 
+def test_an_effect_that_the_program_defines_is_found_by_its_name():
+    """The class that was defined last, as in a notebook whose cell is run again."""
+
+    def define(default):
+        @dataclass(frozen=True)
+        class LocalDoubling(effects.BaseEffect, stage="transducer", cost=1e-9):
+            factor: float = default
+
+        return LocalDoubling
+
+    kept = [define(2.0), define(3.0)]
+    assert effects.find("local_doubling") is kept[1]
+    assert effects.from_table({"kind": "local_doubling"}).factor == 3.0
+    with pytest.raises(UnknownNameError, match="did you mean local_doubling"):
+        effects.find("local_dubling")
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [

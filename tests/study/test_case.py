@@ -1,5 +1,6 @@
 """Cases: what they are made of, and what their hash sees."""
 
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -195,3 +196,35 @@ def test_limits_and_seeds_are_checked(options):
         ms.Study("s", **options)
     with pytest.raises(ConfigError, match="no cases"):
         ms.Study("s", seeds=0).cases()
+
+
+OWN = """
+from dataclasses import dataclass
+from meshskin.effects import BaseEffect
+
+@dataclass(frozen=True)
+class Scaled(BaseEffect, stage="transducer", cost=1e-9):
+    factor: float = 2.0
+
+    def bound(self, context):
+        return 1e-3
+
+    def build(self, context):
+        return lambda pressures, frames: self.factor * pressures
+"""
+
+
+def test_a_study_changes_an_effect_of_the_program_and_knows_its_source(
+    sphere, tmp_path, monkeypatch
+):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = []
+    for k, text in enumerate((OWN, OWN.replace("self.factor *", "-self.factor *"), OWN)):
+        (tmp_path / f"own_{k}.py").write_text(text)
+        own = importlib.import_module(f"own_{k}")
+        study = ms.Study(
+            "s", base=sphere.with_(effects=(own.Scaled(),)), grid={"effects.scaled.factor": [3.0]}
+        )
+        found += study.cases()
+    assert found[0].scene.effects[0].factor == 3.0
+    assert found[0].key == found[2].key != found[1].key

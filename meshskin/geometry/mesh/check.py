@@ -51,8 +51,8 @@ class Finding:
         """The first point and the first faces, as text."""
         words = []
         if len(self.points):
-            near = np.array2string(self.points[0], precision=4, separator=", ")
-            words.append(f"the first near {near} m")
+            near = ", ".join(f"{1e3 * x:.1f}" for x in self.points[0])
+            words.append(f"the first near ({near}) mm")
         if len(self.faces):
             ids = ", ".join(str(i) for i in self.faces[:SHOWN])
             more = ", ..." if len(self.faces) > SHOWN else ""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import inspect
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -112,6 +113,7 @@ class SceneObject(BaseScene):
             scene.arm.base,
             repr((scene.skin.disc_radius, scene.arm.tip, scene.arm.folders, scene.payload)),
             scene.arm.urdf,
+            *(source_text(kind) for kind in map(type, scene.effects) if _foreign(kind)),
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -236,6 +238,19 @@ def _table_of(part: Any) -> dict[str, Any]:
         listed = list(value) if isinstance(value, tuple) else value
         out[f"{item.name}_{suffix}" if suffix else item.name] = listed
     return out
+
+
+def _foreign(kind: type) -> bool:
+    """Whether a class is from outside of this package, whose source every key contains."""
+    return kind.__module__.partition(".")[0] != __name__.partition(".")[0]
+
+
+def source_text(code: Any) -> str:
+    """The source of a function or class; empty where it has none."""
+    try:
+        return inspect.getsource(code)
+    except (OSError, TypeError):
+        return ""
 
 
 def canonical_json(value: Any) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import inspect
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ import numpy as np
 from ...core.arguments import check_type
 from ...core.errors import ConfigError, StudyError, UnknownNameError
 from ...core.provenance import digest, versions
-from .base_scene import BaseScene, canonical_json
+from .base_scene import BaseScene, canonical_json, source_text
 
 if TYPE_CHECKING:
     from ...scene.belief import Belief
@@ -184,11 +183,7 @@ def runner_identity(run: RunFunction, version: str) -> str:
     What it calls outside meshskin is not part of it: the author changes `version` when that
     changes.
     """
-    try:
-        source = inspect.getsource(run)
-    except (OSError, TypeError):
-        source = ""
-    return canonical_json([getattr(run, "__qualname__", ""), source, version])
+    return canonical_json([getattr(run, "__qualname__", ""), source_text(run), version])
 
 
 def checked_results(values: Any, parameters: Mapping[str, Any]) -> dict[str, Any]:

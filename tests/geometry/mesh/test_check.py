@@ -182,7 +182,7 @@ def test_command_says_what_and_where(ball, tmp_path, capsys):
     trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export(tmp_path / "hole.ply")
     assert cli.main(["check", str(tmp_path / "hole.ply"), "--units", "m"]) == 1
     out = capsys.readouterr().out
-    for words in ("refused", "3 border edges", "the first near [", "faces ", "remedy: fill"):
+    for words in ("refused", "3 border edges", "the first near (", "faces ", "remedy: fill"):
         assert words in out
     assert cli.main(["check", str(tmp_path / "hole.ply"), "--units", "m", "--open"]) == 0
     assert cli.main(["check", str(tmp_path / "ball.ply"), "--units", "mm"]) == 1
