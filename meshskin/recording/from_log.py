@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from ..core.arrays import Array, nearest_rows
+from ..core.arrays import Array, Index, nearest_rows
 from ..core.errors import ConfigError, RecordingError
 from .log_map import BODY, CONTACT, LogMap, StreamMap
 from .readers.yarp import SKIN_CONTACTS
@@ -168,7 +168,7 @@ def _of_contacts(
     return points, normals, column("force") if "force" in columns else None
 
 
-def _alone(points: Array, near: Array, first: Array, last: Array) -> NDArray[np.bool_]:
+def _alone(points: Array, near: Index, first: Index, last: Index) -> NDArray[np.bool_]:
     """Whether there are points (k, 3), m, in the rows from `first` (n,) up to `last` (n,), all
     within SAME_CONTACT of that in the row `near` (n,)."""
     count = last - first

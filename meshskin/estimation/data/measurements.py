@@ -89,8 +89,7 @@ class Measurements:
     """Relative curvature, 1/m, and peak pressure, Pa, that a learned response refers to; None: the
     medians of the contacts."""
     contact_errors: Array | None = None
-    """Estimated errors (m, 3) of the contacts: displacements along the patches' semi-axes, m, and
-    errors of ln F; None: none."""
+    """Estimated errors (m, 3) of the contacts, along the semi-axes, m, and of ln F; None: none."""
     unevenness: Array = field(default_factory=lambda: np.empty(0))
     """Parts (m,) of the peak pressures by which those of the contacts differ over edges
     (`patch_shape.over_edges`); empty: none, or the response is yet to be learned."""

@@ -126,6 +126,15 @@ def _tangents(effects: RandomEffects) -> Array:
     return np.stack([contacts.directions, np.cross(contacts.normals, contacts.directions)], axis=1)
 
 
+def force_scatter(effects: RandomEffects) -> float:
+    """Deviation of ln F: of the variance that the readings determine, or of the estimated errors
+    where the forces were not measured."""
+    if effects.data.force_measured:
+        return effects.deviations.force
+    errors = effects.unknowns.errors[effects.probes.touched, 2]
+    return float(np.sqrt(np.mean(errors**2)))
+
+
 class _Correlograms:
     """Correlograms of the contacts' errors and of the residuals of single taxels."""
 
@@ -137,7 +146,7 @@ class _Correlograms:
         self.clear = np.flatnonzero(effects.clear())
         reach = float(np.median(data.reach()[self.used]))
         self.length, self.rng = LENGTH * reach, np.random.default_rng(0)
-        force = effects.force_scatter
+        force = force_scatter(effects)
         self.units = max(d.position, 0.01 * reach), max(force, FORCE_UNIT), 1.0
         self.believed = (d.position / self.units[0]) ** 2, (force / self.units[1]) ** 2, 1.0
         """Variances that the estimate finds the errors to have, in the drawn ones'."""
