@@ -158,7 +158,7 @@ def _of_contacts(
             out[single] = stream.values[near[single], columns[name]]
         return out
 
-    every = stream.values[:, [columns[name] for name in ("px", "py", "pz")]] * given.factor
+    every: Array = stream.values[:, [columns[name] for name in ("px", "py", "pz")]] * given.factor
     near, single = first, last - first == 1
     if len(times) > 1:
         near = nearest_rows(times, time)
