@@ -158,7 +158,8 @@ def _of_contacts(
             out[single] = stream.values[near[single], columns[name]]
         return out
 
-    every: Array = stream.values[:, [columns[name] for name in ("px", "py", "pz")]] * given.factor
+    place = [columns[name] for name in ("px", "py", "pz")]
+    every = np.asarray(stream.values[:, place] * given.factor, dtype=float)
     near, single = first, last - first == 1
     if len(times) > 1:
         near = nearest_rows(times, time)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from . import sphere
+from .edge import Edge
 from .electronics import Electronics
 from .outside import Drag, Oblong, Pair, Skewed
 from .profiles import Bell, Hertz, Winkler, blurred
@@ -33,14 +34,20 @@ SOLVERS = {
 """Worlds by another solver, and its module."""
 
 
-def world(name: str) -> World:
+EDGES = {"edge": Edge()}
+"""Worlds on a body with an edge."""
+
+
+def world(name: str) -> World | Edge:
     """A world by its name. Raises KeyError, and ImportError without its solver."""
+    if name in EDGES:
+        return EDGES[name]
     return solved(name) if name in SOLVERS else catalogue()[name]
 
 
 def names() -> list[str]:
     """All worlds, also those whose solver is not installed."""
-    return [*catalogue(), *SOLVERS]
+    return [*catalogue(), *EDGES, *SOLVERS]
 
 
 def solved(name: str) -> World:
