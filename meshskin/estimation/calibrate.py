@@ -207,6 +207,9 @@ class Estimation:
         if found.fit is not None and found.fit.of_computing(self.data.pressure):
             return False
         misfits = found.fit is not None and found.fit.good is False
+        misfits |= (
+            maximum_likelihood.UNDECLARED_GAINS in found.factors
+        )  # scatter of few contacts may hide more
         return misfits or max(found.departures.values(), default=0.0) > MIN_SCORE
 
     def _learned(self, stage: Stage) -> EstimatorResult | None:

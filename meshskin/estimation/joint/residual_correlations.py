@@ -36,7 +36,7 @@ LEAST_SCORE = 4.0
 HELD_SCORE, MAX_WIDENING = 10.0, 1.3
 """Score, and factor of the standard deviations, below which they hold the errors: elliptic patches
 of a foam that is learned on a cylinder have 7 to 9.6 and 1.2, and errors as stated; lines of a
-matrix that crosstalk 13 and 1.2, and errors twice as large."""
+matrix that crosstalk, where that is not estimated, 13 and 1.2, and errors twice as large."""
 SPARE = 3
 """Readings of a taxel, at least, beyond its own unknowns: fewer have hardly residuals."""
 START, MAX_RATIO = 0.3, 100.0
