@@ -34,6 +34,12 @@ class MeshskinError(Exception):
         super().__init__(_printable(f"{line}; {remedy}" if remedy else line))
 
 
+def reason(error: Exception) -> str:
+    """Why a file cannot be read: the words of the system, without its number and the file's name,
+    which the message has."""
+    return str(getattr(error, "strerror", None) or error)
+
+
 class ConfigError(MeshskinError):
     """A configuration file or value that cannot be used."""
 

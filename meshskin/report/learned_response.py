@@ -27,8 +27,9 @@ CAPTION = (
     "before the compression of strong readings; the contact model that it corrects is scaled to "
     "the same height. Right: the reading against the level before compression. Bands: ± 2 standard "
     "deviations, with that of the scale, which profile and compression share. A contact model "
-    "outside the band does not hold for this skin. Taxels of another skin or amplifier have curves "
-    "of their own."
+    "outside the band does not hold for this skin. The profile is not constrained to be positive: "
+    "within the band a part below zero cannot be told from zero; beyond it, taxels at that "
+    "distance read less than at rest. Taxels of another skin or amplifier have curves of their own."
 )
 NOT_KNOWN = (
     "Not in this response: delays, patches that are not round, and, from raw readings, "
@@ -64,6 +65,8 @@ def figure(response: LearnedResponse) -> Figure:
         look = {"color": theme.WARNING if single else color, "lw": 1.0, "ls": "--"}
         look["label"] = "contact model" if one is each[-1] else None
         profile.plot(MM * one.distance, height * one.model, **look)
+    if min(float(one.profile.min()) for one in each) < 0.0:
+        profile.axhline(0.0, color=theme.MUTED, lw=0.5)
     level = scale * np.concatenate([one.level for one in each])
     linear = np.array([0.0, level.max()])
     curve.plot(linear, linear, color=theme.WARNING, lw=1.0, ls="--", label="no compression")

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
-from ..core.errors import ArmError
+from ..core.errors import ArmError, reason
 from ..core.many_points import RowFunction
 from ..core.se3 import inverse
 from ..core.value import Value
@@ -112,7 +112,7 @@ class Arm(Value):
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
-            raise ArmError(f"cannot read the arm {str(path)!r}: {error}") from error
+            raise ArmError(f"cannot read the arm {str(path)!r}", value=reason(error)) from error
         own = path.resolve().parents
         every = (*folders, *own[:-1])
         arm = cls.from_text(text, tip, where=f" in {path.name}")

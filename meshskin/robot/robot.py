@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..core.arguments import check_array, check_name, check_path, check_real, check_type
 from ..core.arrays import Array
 from ..core.atomic_io import write_text
-from ..core.errors import ArmError
+from ..core.errors import ArmError, reason
 from ..core.se3 import inverse, is_rigid, transform
 from ..core.value import Value
 from ..geometry.body import Body
@@ -59,7 +59,7 @@ class Robot(Value):
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
-            raise ArmError(f"cannot read the robot {str(path)!r}: {error}") from error
+            raise ArmError(f"cannot read the robot {str(path)!r}", value=reason(error)) from error
         tree = UrdfTree(text, where=f" in {path.name}")
         given = [] if meshes is None else meshes
         given = [given] if isinstance(given, str | os.PathLike) else given

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from .. import effects
 from ..core import arrow
-from ..core.arguments import check_type
+from ..core.arguments import check_integer, check_type
 from ..core.errors import ConfigError, PlaceError, ReachError, SkinError, warn_left_out
 from ..core.progress import Progress, Stage
 from ..core.provenance import provenance
@@ -78,6 +78,7 @@ def simulate(
     (True, 'PASS')
     """
     check_type(Scene, scene, "what is simulated")
+    check_integer("seed", seed, least=0)
     if scene.budget is not None:
         raise ConfigError(
             f"the budget of the scene {scene.name} has not been resolved into effects",

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from ..core.arguments import check_array, check_type, check_vectors
+from ..core.arguments import check_array, check_integer, check_type, check_vectors
 from ..core.arrays import Array
 from ..core.errors import RecordingError
 from ..core.progress import Progress, Stage
@@ -67,6 +67,7 @@ def press(
     3
     """
     check_type(Scene, scene, "what is pressed")
+    check_integer("seed", seed, least=0)
     scene = without_arm(scene)
     given = check_vectors("points to press", points, error=RecordingError)
     if not len(given):

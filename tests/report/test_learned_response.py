@@ -47,6 +47,14 @@ def test_the_figure_states_its_unit_and_draws_what_was_learned(unit, name, scale
     assert any("2 sigma" in t.get_text() for t in figure.findobj(matplotlib.text.Text))
 
 
+def test_a_profile_below_zero_has_a_line_at_zero():
+    found = response(1.0)
+    below = replace(found, profile=found.profile - 1.0)
+    for one, drawn in ((found, False), (below, True)):
+        lines = learned_response.figure(one).axes[0].lines
+        assert any(np.array_equal(line.get_ydata(), [0.0, 0.0]) for line in lines) == drawn
+
+
 def test_each_group_of_taxels_has_curves_of_its_own():
     one = replace(response(5e-3), taxels=np.arange(12))
     other = replace(one, taxels=np.r_[12:24, 40], profile=one.profile / 4, reading=one.reading / 2)

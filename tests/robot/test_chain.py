@@ -188,7 +188,7 @@ def test_taxels_of_a_link_in_the_frame_of_another(tmp_path):
         (lambda: Chain.from_dh(NAO_ARM).poses(np.zeros(5)), r"limit: \(n, 5\)"),
         (lambda: Chain.from_dh(NAO_ARM).poses([[0, 0, np.inf, 0, 0]]), "must be finite"),
         (lambda: Chain.from_dh(NAO_ARM).with_tip(np.zeros((4, 4))), "rigid transform"),
-        (lambda: ms.Robot.from_urdf("nowhere.urdf"), "cannot read the robot 'nowhere.urdf'"),
+        (lambda: ms.Robot.from_urdf("nowhere.urdf"), "'nowhere.urdf', got No such"),
     ],
 )
 def test_bad_input_is_one_line(call, message):

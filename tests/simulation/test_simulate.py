@@ -133,3 +133,11 @@ def test_a_skin_off_the_body_is_refused(sphere):
     far = sphere.skin.moved(transform(np.eye(3), [0.0, 0.0, -0.05]))
     with pytest.raises(SkinError, match=r"got 49\.1 mm at the nearest taxel"):
         ms.simulate(sphere.with_(skin=far))
+
+
+def test_a_seed_is_a_whole_number_also_where_nothing_is_random(sphere):
+    assert not sphere.effects
+    for run in (ms.simulate, lambda scene, seed: ms.press(scene, scene.skin.positions, seed=seed)):
+        for seed in (1.5, -1):
+            with pytest.raises(ConfigError, match=r"seed .* got"):
+                run(sphere, seed=seed)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from ...core import se3
 from ...core.arrays import Array, Index
 from ...core.atomic_io import write_text
-from ...core.errors import GraphError
+from ...core.errors import GraphError, reason
 from .symbolic_factorization import Int64Array
 from .validation import SINGULAR
 
@@ -145,7 +145,7 @@ def _tables(path: str | Path) -> dict[str, tuple[Array, list[int]]]:
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise GraphError(f"cannot read {path}", value=error) from error
+        raise GraphError(f"cannot read {path}", value=reason(error)) from error
     rows: dict[str, list[list[float]]] = {tag: [] for tag in FIELDS}
     lines: dict[str, list[int]] = {tag: [] for tag in FIELDS}
     for number, line in enumerate(text.splitlines(), start=1):

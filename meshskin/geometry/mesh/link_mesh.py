@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from ...core.arrays import Array
-from ...core.errors import MeshError, MeshskinError, UnknownNameError
+from ...core.errors import MeshError, MeshskinError, UnknownNameError, reason
 from ...core.se3 import from_rpy
 from . import mesh_file
 from .triangles import Triangles
@@ -31,7 +31,7 @@ def read(
     try:
         root = ET.fromstring(urdf.read_bytes())
     except (OSError, ET.ParseError) as error:
-        raise MeshError(f"cannot read the URDF file {str(urdf)!r}: {error}") from error
+        raise MeshError(f"cannot read the URDF file {str(urdf)!r}", value=reason(error)) from error
     links = {element.get("name", ""): element for element in root.findall("link")}
     if link not in links:
         raise UnknownNameError("link", link, links, f" in {urdf.name}")

@@ -96,7 +96,8 @@ class LivePage(contextlib.AbstractContextManager["LivePage"]):
         self.drawing.light_from(position - target)
         if camera is self.server.initial_camera:
             camera.up = up
-        else:
+        else:  # what equals the browser's last report is not sent, and it may have taken the first
+            camera.up_direction = up + position - target  # camera since; so another one comes first
             camera.up_direction = up
         camera.position, camera.look_at = position, target
 

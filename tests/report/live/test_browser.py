@@ -78,3 +78,23 @@ def test_a_view_of_the_robot_is_another_picture(stage, snapshot):
         page.panel.view.value = "robot"
         wait_for("same view", lambda: np.mean(canvas(browser) != before) > 0.05)
         assert browser.errors == []
+
+
+def test_a_view_that_is_taken_at_once_is_upright(stage, snapshot):
+    """While the browser still takes the first camera, whose upward direction is another one."""
+    with Chromium() as browser, LivePage(stage, "127.0.0.1", 0, 1.0) as page:
+        browser.open(page.address)
+        end = time.monotonic() + PATIENCE
+        while not page.viewers:
+            assert time.monotonic() < end
+            time.sleep(0.005)
+        page.panel.view.value = "robot"
+        page.show(snapshot)
+        wait_for("nothing drawn", lambda: drawn(browser))
+        time.sleep(2.0)  # for what the browser reports of its camera
+        (client,) = page.server.get_clients().values()
+        _, _, up = page.drawing.camera(page.panel.row)
+        w, x, y, z = client.camera.wxyz
+        image_up = -np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+        assert image_up @ up > 0.9
+        np.testing.assert_allclose(client.camera.up_direction, up, atol=1e-3)
