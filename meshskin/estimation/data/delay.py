@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.arrays import Array, means_by_group
+from ...core.arrays import Array, means_by_group, sums_by_group
 from .measurements import Measurements
 
 LATE_FRAMES = 5
@@ -179,3 +179,27 @@ def displacements(data: Measurements, frames: int) -> tuple[Array, np.ndarray]:
     row, inside = _moved(data, frames)
     rows = np.flatnonzero(inside)
     return data.points[row[rows]] - data.points[data.contact[rows]], rows
+
+
+def remaining_squares(data: Measurements) -> Array:
+    """Mean squares (n, 3, 3), m^2, of the taxels' displacements by what is left of the delay of
+    readings that came too late: a part of a frame, of uniform distribution.
+
+    A taxel is displaced by the mean of its contacts' displacements, which are alike in one pass
+    over it and differ between passes: where these have two directions, it is found between them.
+    """
+    n = len(data.ids)
+    if not data.delay:
+        return np.zeros((n, 3, 3))
+    moved, rows = displacements(data, 1)
+    order = np.lexsort((data.contact[rows], data.taxel[rows]))
+    moved, rows = moved[order], rows[order]
+    weight, own, at = data.pressure[rows] ** 2, data.taxel[rows], data.contact[rows]
+    begins = (np.diff(own, prepend=-1) != 0) | (np.diff(at, prepend=0) > LATE_FRAMES)
+    number = np.cumsum(begins) - 1
+    share = weight / np.maximum(np.bincount(own, weight, n), 1e-300)[own]
+    mean = sums_by_group(share[:, None] * moved, own, n)
+    apart = sums_by_group(share[:, None] * (moved - mean[own]), number)
+    total = mean[:, :, None] * mean[:, None, :]
+    total += sums_by_group(apart[:, :, None] * apart[:, None, :], own[begins], n)
+    return np.asarray(total / 12)

@@ -96,6 +96,8 @@ class ReducedProblem:
     contacts: LinearizedContacts
     inner_tolerance: float = INNER_TOLERANCE
     """Newton decrement, in units of the cost, at which a group has converged."""
+    resting: np.ndarray | None = None
+    """Groups (G,) bool that `solve_inner` leaves where they are; None: none."""
     evaluations: float = 0.0
     """Evaluations of all groups in `solve_inner`; one of a group counts 1 / count."""
 
@@ -120,9 +122,11 @@ class ReducedProblem:
     def solve_inner(
         self, state: State, groups: np.ndarray | None = None, most: int = MAX_STEPS
     ) -> None:
-        """Bring the groups (all by default) to their optimum at the state's s, in place, in `most`
-        steps or fewer."""
-        groups = np.arange(self.parametrization.count) if groups is None else groups
+        """Bring the groups (all but the resting ones by default) to their optimum at the state's s,
+        in place, in `most` steps or fewer."""
+        if groups is None:
+            groups = np.arange(self.parametrization.count)
+            groups = groups if self.resting is None else groups[~self.resting]
         damping = np.zeros(len(groups))
         for _ in range(most):
             blocks = self.blocks(state, groups)

@@ -225,10 +225,8 @@ def _surface(data: Measurements, calibration: Calibration) -> list[Finding]:
     where = f"{side} the believed surface" if abs(median) > 0.5 * typical else "off the surface"
     if best.turn.any() or best.stretch:
         move, turn = best.shift, ", ".join(f"{-x:.2g}" for x in np.degrees(best.turn))
-        extra = (
-            f", turned about the body's middle by ({turn}) degrees and scaled by "
-            f"{1 - best.stretch:.4g}"
-        )
+        extra = f", turned about the body's middle by ({turn}) degrees"
+        extra += f" and scaled by {1 - best.stretch:.4g}" if best.stretch else ""
     words = (
         f"contact points lie {1e3 * typical:.3g} mm {where} in the median, and on it best if moved "
         f"by ({', '.join(f'{-1e3 * x:.2g}' for x in move)}) mm{extra} (limit "

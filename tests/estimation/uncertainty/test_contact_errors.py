@@ -15,6 +15,8 @@ from meshskin.estimation.uncertainty import contact_errors
 from meshskin.geometry.region import Cap
 from meshskin.recording.recording import Recording
 
+from ...real_data import DATA, needs_ur3e
+
 CONTACTS = 500
 
 
@@ -311,6 +313,29 @@ def test_turns_about_the_middle_of_an_egg_are_counted():
         stated.append(np.einsum("nij,nji->n", along, squares).mean())
     assert np.sqrt(np.median(true)) > 0.4e-3
     assert 0.8 < np.sqrt(np.mean(stated) / np.mean(true)) < 1.25
+
+
+@needs_ur3e
+def test_a_turned_frame_of_a_link_is_named():
+    """By 3 degrees: turn, shift and change of scale together run far off, to first order; without
+    the last, linearized again, they bring the points back to the surface."""
+    body = ms.Body.load(DATA / "ur3e_meshes" / "forearm.stl", units="m")
+    towards = np.random.default_rng(1).normal(size=3)
+    there = ms.Skin.cover(
+        body, spacing=3e-3, count=400, seed=1, region=Cap(direction=tuple(towards)),
+        disc_radius=1e-3,
+    ).positions  # fmt: skip
+    data = SimpleNamespace(
+        pressure=np.ones(len(there)), ids=np.arange(100), taxel=np.arange(len(there)) // 4,
+        contact=np.arange(len(there)), body=body, indentation=1.3e-3,
+    )  # fmt: skip
+    points = there @ ms.core.se3.exp_so3([0.0, 0.0, np.radians(3.0)]).T
+    hit = body.closest(points)
+    found = contact_errors.motion(data, points, hit.distance, hit.normal)
+    np.testing.assert_allclose(np.degrees(found.turn), [0.0, 0.0, 3.0], atol=0.1)
+    true = np.sum((points - there) ** 2, axis=1).mean()
+    assert true > (2e-3) ** 2
+    assert np.einsum("nii->n", found.squares(points)).mean() > 0.6 * true
 
 
 def test_contact_points_of_another_place_of_the_body_may_be_anywhere_on_it():
