@@ -168,7 +168,9 @@ def _of_contacts(
     return points, normals, column("force") if "force" in columns else None
 
 
-def _alone(points: Array, near: Array, first: Array, last: Array) -> NDArray[np.bool_]:
+def _alone(
+    points: np.ndarray, near: np.ndarray, first: np.ndarray, last: np.ndarray
+) -> NDArray[np.bool_]:
     """Whether there are points (k, 3), m, in the rows from `first` (n,) up to `last` (n,), all
     within SAME_CONTACT of that in the row `near` (n,)."""
     count = last - first
