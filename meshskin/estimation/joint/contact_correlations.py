@@ -75,6 +75,14 @@ def fewer_contacts(correlation: float) -> float:
     return (1 + correlation) / (1 - min(correlation, LARGEST_CORRELATION))
 
 
+def force_scatter(effects: RandomEffects) -> float:
+    """Standard deviation of ln F of the contacts: that of the estimate, or that of the errors that
+    it finds where the forces were not measured."""
+    if effects.data.force_measured:
+        return effects.deviations.force
+    return float(np.sqrt(np.mean(effects.unknowns.errors[effects.probes.touched, 2] ** 2)))
+
+
 def neighbour_correlation(effects: RandomEffects) -> float:
     """Correlation of the displacements of contacts with those of their nearest neighbours.
 
@@ -137,7 +145,7 @@ class _Correlograms:
         self.clear = np.flatnonzero(effects.clear())
         reach = float(np.median(data.reach()[self.used]))
         self.length, self.rng = LENGTH * reach, np.random.default_rng(0)
-        force = effects.force_scatter
+        force = force_scatter(effects)
         self.units = max(d.position, 0.01 * reach), max(force, FORCE_UNIT), 1.0
         self.believed = (d.position / self.units[0]) ** 2, (force / self.units[1]) ** 2, 1.0
         """Variances that the estimate finds the errors to have, in the drawn ones'."""

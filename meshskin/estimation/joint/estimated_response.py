@@ -10,7 +10,7 @@ import numpy as np
 from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
 from ..result import LearnedResponse
-from .contact_correlations import AlikeErrors, neighbour_correlation
+from .contact_correlations import AlikeErrors, force_scatter, neighbour_correlation
 from .creep import TIME
 from .electronics import WIDTH
 from .pressure import disc_means
@@ -32,7 +32,7 @@ def learned_response(
         **first,
         contact_scatter=effects.deviations.position,
         contact_correlation=neighbour_correlation(effects),
-        force_scatter=effects.force_scatter,
+        force_scatter=force_scatter(effects),
         alike_contacts=alike.factor,
         alike_parts=alike.parts,
         noise=effects.deviations.noise * data.sigma * data.unit,

@@ -24,7 +24,7 @@ from ..result import (
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
-from .contact_correlations import alike_errors, fewer_contacts
+from .contact_correlations import alike_errors, fewer_contacts, force_scatter
 from .contact_fields import contact_fields
 from .estimated_response import learned_response
 from .joint_estimator import JointEstimator
@@ -229,7 +229,7 @@ def _shared_values(effects: RandomEffects, covariance: Array) -> dict[str, tuple
     for label in parameters.labels[parameters.columns["profile"]]:
         del found[label]
     found["contact_scatter"] = d.position, d.position / float(np.sqrt(4 * m))
-    force = effects.force_scatter
+    force = force_scatter(effects)
     found["force_scatter"] = force, force / float(np.sqrt(2 * m))
     return found
 

@@ -333,14 +333,6 @@ class RandomEffects:
         self.deviations = self._with_noise(moved, 2 if largest < PROPORTIONAL else 1)
         return np.inf if abs(np.log(self.deviations.noise / d.noise)) > NOISE_TOLERANCE else largest
 
-    @property
-    def force_scatter(self) -> float:
-        """Deviation of ln F: of the variance that the readings determine, or of the estimated
-        errors where the forces were not measured."""
-        if self.data.force_measured:
-            return self.deviations.force
-        return float(np.sqrt(np.mean(self.unknowns.errors[self.probes.touched, 2] ** 2)))
-
     def clear(self) -> np.ndarray:
         """Readings (k,) bool predicted well inside the sensor's range, of whole residuals."""
         clear = (self.readings.kind == OBSERVED) & (self.readings.weight > 0.5)
