@@ -75,6 +75,14 @@ def fewer_contacts(correlation: float) -> float:
     return (1 + correlation) / (1 - min(correlation, LARGEST_CORRELATION))
 
 
+def force_scatter(effects: RandomEffects) -> float:
+    """Standard deviation of ln F of the contacts: that of the estimate, or that of the errors that
+    it finds where the forces were not measured."""
+    if effects.data.force_measured:
+        return effects.deviations.force
+    return float(np.sqrt(np.mean(effects.unknowns.errors[effects.probes.touched, 2] ** 2)))
+
+
 def neighbour_correlation(effects: RandomEffects) -> float:
     """Correlation of the displacements of contacts with those of their nearest neighbours.
 
