@@ -134,15 +134,6 @@ def _tangents(effects: RandomEffects) -> Array:
     return np.stack([contacts.directions, np.cross(contacts.normals, contacts.directions)], axis=1)
 
 
-def force_scatter(effects: RandomEffects) -> float:
-    """Deviation of ln F: of the variance that the readings determine, or of the estimated errors
-    where the forces were not measured."""
-    if effects.data.force_measured:
-        return effects.deviations.force
-    errors = effects.unknowns.errors[effects.probes.touched, 2]
-    return float(np.sqrt(np.mean(errors**2)))
-
-
 class _Correlograms:
     """Correlograms of the contacts' errors and of the residuals of single taxels."""
 
