@@ -12,12 +12,11 @@ models", Machine Learning 37 (1999).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.arrays import Array
+from ...core.arrays import Array, sums_by_group
 from .departures import FittedReadings
 from .electronics import FAR, NEXT, near_pairs, nearest
 
@@ -91,12 +90,12 @@ def leak_covariances(fitted: FittedReadings, share: float) -> Array:
     leaks, found = fitted.data.leaks, np.zeros((len(fitted.points), 2, 2))
     if leaks is None:
         return found
-    size = len(fitted.own)
-    for taxel, (key, matrix, _) in enumerate(_normal_equations(fitted)):
-        variance = share**2 * leaks.of(key, leaks.variance)
-        moved = np.linalg.solve(matrix[:size, :size], matrix[:size, size : size + len(key)])[:2]
-        found[taxel] = moved * variance @ moved.T
-    return found
+    size, (key, at, matrix, _) = len(fitted.own), _normal_equations(fitted)
+    others = slice(size, size + int(at[1].max(initial=-1)) + 1)
+    variance = np.zeros((len(matrix), others.stop - size))
+    variance[at] = share**2 * leaks.of(key, leaks.variance)
+    moved = np.linalg.solve(matrix[:, :size, :size], matrix[:, :size, others])[:, :2]
+    return np.asarray(np.einsum("nas,ns,nbs->nab", moved, variance, moved))
 
 
 @dataclass(frozen=True)
@@ -122,36 +121,27 @@ class _Shares:
     @classmethod
     def of(cls, fitted: FittedReadings, share: float) -> _Shares:
         """Those of readings with a crosstalk of `share`."""
-        parts = list(_normal_equations(fitted))
-        counts, size = [len(key) for key, *_ in parts], len(fitted.own)
-        key = np.concatenate([key for key, *_ in parts])
-        taxel = np.repeat(np.arange(len(parts)), counts)
-        at = taxel, np.arange(len(key)) - np.searchsorted(taxel, taxel)
-        width, kept = max(counts, default=0), _other_parameters(fitted)
-        own, right = np.zeros((len(parts), width, width)), np.zeros((len(parts), width))
-        coupling = np.zeros((len(parts), width, len(kept)))
-        common = np.zeros((len(kept), len(kept)))
+        key, at, matrix, slope = _normal_equations(fitted)
+        size, kept, n = len(fitted.own), _other_parameters(fitted), len(matrix)
+        width = int(at[1].max(initial=-1)) + 1
+        by_own = np.linalg.solve(matrix[:, :size, :size], matrix[:, :size])
+        left = matrix - np.swapaxes(matrix[:, :size], 1, 2) @ by_own
+        right = slope - np.einsum("nij,ni->nj", by_own, slope[:, :size])
+        others, rest = slice(size, size + width), size + width + kept
+        coupling = left[:, others][:, :, rest]
+        common = left[:, rest[:, None], rest].sum(axis=0)
         if fitted.system is not None:  # with their priors
-            common += fitted.system.shared[np.ix_(kept, kept)]
-        for i, (_, matrix, slope) in enumerate(parts):
-            q = slice(size, size + counts[i])
-            rest = size + counts[i] + kept
-            by_own = np.linalg.solve(matrix[:size, :size], matrix[:size])
-            left = matrix[q] - matrix[q, :size] @ by_own
-            own[i, : counts[i], : counts[i]] = left[:, q]
-            coupling[i, : counts[i]] = left[:, rest]
-            right[i, : counts[i]] = slope[q] - by_own[:, q].T @ slope[:size]
-            common -= matrix[rest, :size] @ by_own[:, rest]
-            if fitted.system is None:
-                common += matrix[np.ix_(rest, rest)]
-        first, second = np.divmod(key, len(parts))
+            known = matrix[:, rest[:, None], rest].sum(axis=0)
+            common += fitted.system.shared[np.ix_(kept, kept)] - known
+        first, second = np.divmod(key, n)
         distance = np.linalg.norm(fitted.points[first] - fitted.points[second], axis=1)
         near = distance < NEXT * nearest(fitted.points)[first]
         apart = np.diff(fitted.data.ids[fitted.readings.live][[first, second]], axis=0)[0]
         kind = np.where(near, NEIGHBOURS, DISTANT)
         kind = np.where(apart == 1, NEXT_ID, np.where(apart == -1, LAST_ID, kind))
         by_common = coupling[at] @ _inverse_root(common)
-        found = cls(key, near, kind, at, own, by_common, right[at])
+        own = left[:, others, others]
+        found = cls(key, near, kind, at, own, by_common, right[:, others][at])
         leaks = fitted.data.leaks
         has = near.astype(float) if leaks is None else leaks.of(key)
         return replace(found, right=found.right + found.product(share * has))
@@ -228,27 +218,33 @@ def _other_parameters(fitted: FittedReadings) -> np.ndarray:
     return np.delete(columns, parameters.columns.get("crosstalk", slice(0, 0)))
 
 
-def _normal_equations(fitted: FittedReadings) -> Iterator[tuple[np.ndarray, Array, Array]]:
-    """Of each taxel the pairs (S,) in which it reads, the matrix (D + S + ks, .) of its own
-    unknowns, what it reads of each of the others and the global parameters, and the gradient."""
+def _normal_equations(
+    fitted: FittedReadings,
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], Array, Array]:
+    """Pairs (q,) as in Leaks, their place `at` as in _Shares, and of each taxel the matrix
+    (n, D + S + ks, .) of its own unknowns, what it reads of each of the others and the global
+    parameters, and the gradient (n, .)."""
     readings, n, size = fitted.readings, len(fitted.points), len(fitted.own)
     row, column = near_pairs(readings, fitted.points, FAR)
-    order = np.argsort(row, kind="stable")
-    row, column = row[order], column[order]
-    begin = np.searchsorted(row, readings.starts)
+    pair = readings.taxel[row] * n + readings.taxel[column]
+    key, owner = np.unique(pair, return_inverse=True)
+    taxel = key // n
+    slot = np.arange(len(key)) - np.searchsorted(taxel, taxel)
     pressure = np.maximum(fitted.mu - fitted.offset, 0.0)
     shared = pressure[:, None]  # a common scale, where the global parameters have no derivatives
     if fitted.system is not None:
         shared = fitted.jacobian[:, size : size + len(fitted.data.parameters.sigma)]
-    for taxel in range(n):
-        rows = slice(*readings.starts[taxel : taxel + 2])
-        at = slice(*begin[taxel : taxel + 2])
-        other, slot = np.unique(readings.taxel[column[at]], return_inverse=True)
-        read = np.zeros((rows.stop - rows.start, len(other)))
-        read[row[at] - rows.start, slot] = pressure[column[at]]
-        columns = np.concatenate([fitted.own[:, rows].T, read, shared[rows]], axis=1)
-        matrix = columns.T @ (fitted.curvature[rows, None] * columns)
-        near = np.arange(size + len(other))
-        matrix[near[:size], near[:size]] += fitted.prior
-        matrix[near, near] += RIDGE * matrix[near, near] + TINY
-        yield taxel * n + other, matrix, -columns.T @ fitted.rate[rows]
+    first = size + int(slot.max(initial=-1)) + 1
+    columns = np.zeros((len(fitted.mu), first + shared.shape[1]))
+    columns[:, :size], columns[:, first:] = fitted.own.T, shared
+    columns[row, size + slot[owner]] = pressure[column]
+    matrix = np.empty((n, columns.shape[1], columns.shape[1]))
+    for k in range(n):
+        mine = slice(*readings.starts[k : k + 2])
+        part = columns[mine]
+        matrix[k] = part.T @ (fitted.curvature[mine, None] * part)
+    diagonal = np.einsum("nii->ni", matrix)
+    diagonal[:, :size] += fitted.prior
+    diagonal[:, :first] += RIDGE * diagonal[:, :first] + TINY
+    slope = -sums_by_group(columns * fitted.rate[:, None], readings.taxel, n)
+    return key, (taxel, slot), matrix, slope
