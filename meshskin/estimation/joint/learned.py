@@ -237,8 +237,7 @@ def _begin(
     data = replace(data, response_levels=_response_levels(data, readings, unknowns))
     deviations = Deviations(noise=noise)
     if not data.force_measured:
-        least = UNMEASURED_FORCE
-        deviations = replace(deviations, force=least, least_force=least)
+        deviations = replace(deviations, least_force=UNMEASURED_FORCE)
     return RandomEffects(data, readings, unknowns, deviations, stage=stage)
 
 
