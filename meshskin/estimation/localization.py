@@ -274,8 +274,7 @@ class CalibratedSkin:
         mu, jacobian = self._predict(data, contact, taxel, where)
         off = data.pressure[rows] / data.sigma - mu
         own = np.einsum("ik,kij,jk->k", jacobian[:3], self.covariances[taxel], jacobian[:3])
-        edge = 1 / data.precision[contact] - 1
-        variance = d.noise_of(mu) ** 2 + edge + own
+        variance = d.noise_of(mu) ** 2 + data.edge_variance[contact] + own
         last = 3 + self.nuisance.shape[1] + len(self.s)
         shared = jacobian[last : last + 3].T * [d.position, d.position, d.force]
         out, ends = np.zeros(len(data.points)), np.cumsum(count)

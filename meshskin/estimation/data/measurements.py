@@ -12,7 +12,7 @@ from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
-from .patch_shape import over_patches, typical_radius, unevenness
+from .patch_shape import alike_contacts, over_patches, typical_radius, unevenness
 from .resolve_belief import nominal_patches
 
 if TYPE_CHECKING:
@@ -201,10 +201,8 @@ class Measurements:
         return cKDTree(self.points)
 
     def reach(self, scale: float = 1.0) -> Array:
-        """Distance (m,), m, across the contact at which a taxel's disc leaves the patch.
-
-        scale: contact radii relative to those at nominal E*.
-        """
+        """Distance (m,), m, across the contact at which a taxel's disc leaves the patch; scale: its
+        contact radii relative to those at nominal E*."""
         return np.asarray(scale * self.longest + self.disc)
 
     def select(self, rows: np.ndarray) -> Measurements:
@@ -232,18 +230,13 @@ class Measurements:
     @property
     def excluded(self) -> tuple[str, ...]:
         """Which contacts were left out, and why, in words."""
-        why = {
-            "in which the contact model does not hold": self.left_out,
-            "off the believed surface": self.strays,
-            "whose readings fit no others: bumps, jumps of the curvature, wrong points": len(
-                self.misfitting
-            ),
-        }
-        return tuple(
-            f"without {count} contact{'s' * (count > 1)} {words}"
-            for words, count in why.items()
-            if count
+        bad = len(self.misfitting)
+        why = (
+            (self.left_out, "in which the contact model does not hold"),
+            (self.strays, "off the believed surface"),
+            (bad, "whose readings fit no others: bumps, jumps of the curvature, wrong points"),
         )
+        return tuple(f"without {n} contact{'s' * (n > 1)} {words}" for n, words in why if n)
 
     def at_contacts(self, hit: Closest) -> Measurements:
         """These measurements with the contacts at the points `hit` (m) of the body.
@@ -255,7 +248,13 @@ class Measurements:
         if self.learned:
             hit = over_patches(self.belief, hit, self.force)
         else:
-            hit = replace(hit, curvature=self._valid_curvature(hit.curvature))
+            valid = self.model.is_valid(
+                force=self.force,
+                curvature=hit.curvature,
+                indenter_radius=self.belief.indenter.radius,
+                effective_modulus=self.modulus,
+            )
+            hit = replace(hit, curvature=np.where(valid[:, None], hit.curvature, self.curvature))
         return replace(
             self,
             points=hit.point,
@@ -264,17 +263,6 @@ class Measurements:
             curvature=hit.curvature,
             patches=nominal_patches(self.model, self.belief, self.force, hit.curvature),
         )
-
-    def _valid_curvature(self, curvature: Array) -> Array:
-        """Curvatures (m, 2), 1/m, where the contact model holds, and those of the contacts (m)
-        elsewhere."""
-        valid = self.model.is_valid(
-            force=self.force,
-            curvature=curvature,
-            indenter_radius=self.belief.indenter.radius,
-            effective_modulus=self.modulus,
-        )
-        return np.where(valid[:, None], curvature, self.curvature)
 
     @cached_property
     def phase(self) -> Array:
@@ -302,12 +290,25 @@ class Measurements:
         return int(np.count_nonzero(self.unevenness))
 
     @cached_property
-    def precision(self) -> Array:
-        """Precisions (m,) of a contact's readings, relative to that of the noise: 1, and less where
-        no quadric describes the body within the patch."""
+    def edge_variance(self) -> Array:
+        """Variances (m,) by edges of the readings of one contact, relative to that of the noise."""
         if not len(self.unevenness):
+            return np.zeros(len(self.points))
+        return np.asarray((self.unevenness * self.peaks / self.sigma) ** 2)
+
+    @cached_property
+    def alike(self) -> Array:
+        """Contacts (m,) that share the error of each (`patch_shape.alike_contacts`); 1 under a
+        learned response, which has a factor of its own (`LearnedResponse.alike_contacts`)."""
+        if self.learned or not self.edges:
             return np.ones(len(self.points))
-        return np.asarray(1 / (1 + (self.unevenness * self.peaks / self.sigma) ** 2))
+        return alike_contacts(self.points, self.unevenness > 0, self.radii)
+
+    @cached_property
+    def precision(self) -> Array:
+        """Precisions (m,) of a contact's readings among all, relative to that of the noise: 1, and
+        less where no quadric describes the body within the patch."""
+        return np.asarray(1 / (1 + self.alike * self.edge_variance))
 
     @property
     def spread(self) -> Array:
@@ -329,16 +330,14 @@ class Measurements:
         """What each taxel (n,) reads in most contacts, Pa; the threshold where it is silent."""
         order, middle = np.lexsort((-self.pressure, self.taxel)), len(self.points) // 2
         often = self.counts > middle
-        starts = np.cumsum(self.counts) - self.counts
         level = np.full(len(self.ids), self.threshold)
-        level[often] = self.pressure[order[starts[often] + middle]]
+        level[often] = self.pressure[order[self.by_taxel[1][often] + middle]]
         return level
 
     @cached_property
     def distance(self) -> Array:
         """Distance (k,), m, from contact to taxel by each reading (paper, eq. 15), under circular
-        patches.
-        """
+        patches."""
         a = self.radii[self.contact]
         return a * invert_disc_mean(self.pressure / self.peaks[self.contact], self.disc / a)
 

@@ -6,7 +6,9 @@ contacts alike, and its covariances too small: (J' J)^-1 J' V J (J' J)^-1 for er
 V. V is that of independent errors and of Gaussian processes, in the order of the contacts or in
 their place relative to the taxel; their variances and length are those of the largest restricted
 likelihood of the residuals. An error that is even in the place relative to the taxel, as of a
-patch that is too wide, displaces no taxel: even and odd ones have variances of their own.
+patch that is too wide, displaces no taxel: even and odd ones have variances of their own. Readings
+over edges of the body are left out: what they share is in their variance already
+(`patch_shape.alike_contacts`).
 
 Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal",
 Biometrika 58 (1971).
@@ -21,6 +23,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from .departures import FittedReadings
+from .fault_detection import even
 from .noise import clear_of_limits
 from .pressure import OBSERVED
 
@@ -80,7 +83,9 @@ class SharedErrors:
         if self.score <= LEAST_SCORE:
             return found
         for taxel, rows, own in _taxels(fitted, np.arange(len(found))):
-            gain = np.linalg.pinv(own.T @ own + np.diag(fitted.prior))[:2] @ own.T
+            inverse = np.linalg.pinv(own.T @ own + np.diag(fitted.prior))[:2]
+            part = even(fitted.readings)[rows]
+            rows, gain = rows[part], inverse @ own[part].T
             at = fitted.readings.contact[rows], _places(fitted, taxel, rows)
             total = sum(np.tensordot(v, kernel(*at), 1) for kernel, v in self.kernels)
             found[taxel] = gain @ total @ gain.T
@@ -122,6 +127,8 @@ def _samples(fitted: FittedReadings, most: int) -> tuple[list[Sample], float]:
     residuals = -fitted.rate / np.sqrt(np.maximum(fitted.curvature, 1e-300))
     found = list[Sample]()
     for taxel, rows, own in _taxels(fitted, chosen):
+        part = even(fitted.readings)[rows]
+        rows, own = rows[part], own[part]
         used = np.unique(np.linspace(0, len(rows) - 1, most).astype(int))
         if len(used) < own.shape[1] + SPARE:
             continue

@@ -13,6 +13,7 @@ from ...contact import Patches
 from ...core.arrays import Array
 from ...recording.recording import CONTACTS, QUATERNION, READINGS
 from ..data.measurements import Measurements
+from ..data.patch_shape import ALIKE, alike_contacts
 
 TREE_STEP = 1000
 """Contacts after which the search tree is built again: 1 ms at 10,000, and the rest is searched
@@ -199,8 +200,20 @@ class ContactStore:
         )
         groups = self.template.groups[taxels]
         data.__dict__.update(self._typical, ids=np.arange(len(taxels)), groups=groups)
-        data.__dict__["rest"] = self._rest(taxels)
+        data.__dict__.update(rest=self._rest(taxels), alike=self._alike(data, contacts))
         return Part(data, rows[sound])
+
+    def _alike(self, data: Measurements, contacts: np.ndarray) -> Array:
+        """`Measurements.alike` among all contacts so far, of the `contacts` (m) of `data`."""
+        over, alike = np.flatnonzero(data.unevenness), np.ones(len(contacts))
+        if data.learned or not len(over):
+            return alike
+        near = self.near(data.points[over], ALIKE * float(data.radii[over].max()))
+        points, uneven = (self.columns[name].values[near] for name in ("points", "unevenness"))
+        first, second = (self.patches[name].values[near] for name in ("first", "second"))
+        found = alike_contacts(points, uneven > 0, np.sqrt(first * second))
+        alike[over] = found[np.searchsorted(near, contacts[over])]
+        return alike
 
     def _rest(self, taxels: np.ndarray) -> Array:
         """What the taxels (t,) read in most contacts, as `Measurements.rest`."""

@@ -151,7 +151,7 @@ class Touches:
             self.log_modulus = float(skin.s[at["modulus"]].min())  # of the widest patches
             self.groups = skin.data.groups
         self.threshold = data.threshold / self.unit
-        self.edges = (1 / data.precision - 1) * (data.sigma / self.unit) ** 2
+        self.edges = data.edge_variance * (data.sigma / self.unit) ** 2
         """Variance (m,) of readings by edges of the body under the contacts."""
         m, n = len(data.points), len(data.ids)
         self.level = np.full((m, n), np.nan)

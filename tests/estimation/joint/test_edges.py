@@ -234,3 +234,28 @@ def test_the_online_estimate_weighs_contacts_over_edges_as_the_batch_estimate(be
     apart = np.linalg.norm(online.positions - batch.positions, axis=1) / batch.position_sigma
     assert both.sum() > 15
     assert apart[both].max() < 0.05
+
+
+@pytest.mark.parametrize("method", ["joint", "trilateration"])
+def test_many_contacts_over_an_edge_do_not_average_the_error_of_the_model(belief, method):
+    """Taken as independent, these errors had standard deviations of 0.5 and 0.3 of their size."""
+    found = ms.calibrate(recording(1, 1000), contact_model(belief, "elliptic"), method=method)
+    beside = np.abs(ARC - WIDTH / 2) < 2e-3
+    off = np.linalg.norm(found.positions - on_prism(ARC, HEIGHT)[0], axis=1)[beside]
+    stated = found.position_sigma[beside]
+    assert 0.7 < np.sqrt(np.mean(stated**2) / np.mean(off**2)) < 1.8
+
+
+def test_contacts_are_alike_among_all_that_came(belief):
+    believed = contact_model(belief, "elliptic").with_(noise_sigma=2e3, threshold=6e3)
+    data = gather(taps := recording(1, 1000), believed)
+    over = data.unevenness > 0
+    assert np.all(data.alike[~over] == 1)
+    assert np.median(data.alike[over]) > 1.5
+    online = ms.OnlineCalibration(believed)
+    online.update_recording(taps)
+    store = online.estimate.store
+    last = np.flatnonzero(over)[-3:]
+    part = store.part(np.empty(0, dtype=int), last).data
+    assert part.alike.tolist() == data.alike[last].tolist()
+    assert gather(recording(1, 150), believed).alike.max() < data.alike.max()

@@ -43,6 +43,7 @@ def fitted(rng, errors=lambda contact, place: 0.0, noise=NOISE):
     tangents = np.tile(np.eye(3)[:, :2], (64, 1, 1))
     readings = SimpleNamespace(
         contact=contact, taxel=taxel, kind=np.full(len(taxel), OBSERVED),
+        precision=np.ones(len(taxel)),
         weight=np.ones(len(taxel)), starts=np.searchsorted(taxel, np.arange(65)),
     )  # fmt: skip
     data = SimpleNamespace(
