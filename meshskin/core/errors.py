@@ -79,11 +79,16 @@ class SimulationError(MeshskinError):
 
 
 class PlaceError(SimulationError):
-    """A path of the contact that ends: at an edge of the body, or where contact is lost."""
+    """A path of the contact that ends: at an edge of the body, where contact is lost, where the
+    body flies off, or where the loop diverges."""
 
 
 class EdgeError(PlaceError):
     """A contact that runs over an edge of the body."""
+
+
+class LoopError(PlaceError):
+    """A closed loop that diverges."""
 
 
 class TuningError(MeshskinError):

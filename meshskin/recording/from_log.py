@@ -20,8 +20,8 @@ from .stream import CONTACTS, POSE, TAXELS, Log, Stream
 from .tare import thresholds
 
 SAME_CONTACT = 2e-3
-"""Distance, m, up to which contacts within a frame of the skin are one that moves: that of a stroke
-of 100 mm/s in frames of 20 ms; two indenters are farther apart."""
+"""Distance, m, up to which successive contacts within a frame of the skin are one that moves: that
+of a stroke of 200 mm/s at 100 Hz; two indenters are farther apart."""
 
 
 def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recording:
@@ -146,7 +146,7 @@ def _of_contacts(
     stream: Stream, given: StreamMap, time: Array
 ) -> tuple[Array, Array, Array | None]:
     """Point, normal and force of the contact nearest to each time, within half a frame; NaN where
-    there is none, or another one beyond SAME_CONTACT at that time."""
+    there is none, or more than one."""
     times = stream.times - (given.delay or 0.0)
     half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     first, last = np.searchsorted(times, time - half), np.searchsorted(times, time + half)
@@ -163,20 +163,21 @@ def _of_contacts(
     near, single = first, last - first == 1
     if len(times) > 1:
         near = nearest_rows(times, time)
-        single = _alone(every, near, first, last)
+        single = _alone(every, times, first, last)
     points = np.stack([column(name) for name in ("px", "py", "pz")], axis=1) * given.factor
     normals = np.stack([column(name) for name in ("nx", "ny", "nz")], axis=1)
     return points, normals, column("force") if "force" in columns else None
 
 
-def _alone(points: Array, near: Index, first: Index, last: Index) -> NDArray[np.bool_]:
-    """Whether there are points (k, 3), m, in the rows from `first` (n,) up to `last` (n,), all
-    within SAME_CONTACT of that in the row `near` (n,)."""
-    count = last - first
-    owner = np.repeat(np.arange(len(near)), count)
-    rows = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - first, count)
-    apart = np.linalg.norm(points[rows] - points[near[owner]], axis=1) > SAME_CONTACT
-    return np.asarray((count > 0) & (np.bincount(owner, apart, len(near)) == 0))
+def _alone(points: Array, times: Array, first: Index, last: Index) -> NDArray[np.bool_]:
+    """Whether there are contacts in the rows from `first` (n,) up to `last` (n,), all of one that
+    moves: their points (k, 3), m, are at rising `times` (k,), s, within SAME_CONTACT of the one
+    before."""
+    other = np.linalg.norm(np.diff(points, axis=0), axis=1) > SAME_CONTACT
+    others = np.append(0, np.cumsum(other | (np.diff(times) == 0)))
+    some = last > first
+    rows = np.where(some, first, 0), np.where(some, last - 1, 0)
+    return np.asarray(some & (others[rows[0]] == others[rows[1]]))
 
 
 def _pose_at(stream: Stream, given: StreamMap, time: Array) -> tuple[Array, Any]:

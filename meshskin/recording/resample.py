@@ -12,6 +12,7 @@ from ..core.arrays import Array, nearest_rows
 from ..core.errors import ConfigError, RecordingError
 from .clock_offset import ClockOffset, clock_offset
 from .log_map import LogMap, StreamMap
+from .readers.yarp import SKIN_CONTACTS
 from .skin_log import SkinLog
 from .stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, overlap
 from .stream_checks import check_single, without_garbage
@@ -62,7 +63,7 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     offset, compared = 0.0, True
     if offsets and offsets[0].usable:
         offset = offsets[0].offset
-    elif skins[0][1].delay is None and any(m.kind not in (TAXELS, CONTACTS) for _, m in pairs):
+    elif skins[0][1].delay is None and not all(_of_skin(s, m) for s, m in pairs):
         compared = False
         notes.append(
             "the onsets of this log do not tell the clock offset of the skin: it is taken as 0, or "
@@ -96,6 +97,12 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
 
 
 Pairs = list[tuple[Stream, StreamMap]]
+
+
+def _of_skin(stream: Stream, given: StreamMap) -> bool:
+    """Whether a stream is on the clock of the skin: taxels, and contacts that the robot computes
+    from them."""
+    return given.kind == TAXELS or stream.type == SKIN_CONTACTS
 
 
 def paired(log: Log, log_map: LogMap) -> Pairs:

@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from ..core.arrays import Array
-from ..core.errors import EdgeError, PlaceError, ReachError
+from ..core.errors import EdgeError, LoopError, PlaceError, ReachError
 from ..core.se3 import poses_of_states
 from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
@@ -292,8 +292,8 @@ class Simulator:
             raise self._diverged(states[k], "a number is not finite", k)
         j = int(np.argmax(outside[k]))
         raise ReachError(
-            f"joint {arm.joint_names[j]} left its range at {self._at(states[k], k)}",
-            value=f"{q[k, j]:.4f} rad",
+            f"joint {arm.joint_names[j]} left its range",
+            value=f"{q[k, j]:.4f} rad at {self._at(states[k], k)}",
             limit=f"{arm.lower[j]:.4f} to {arm.upper[j]:.4f} rad",
             remedy="move indenter.position_m or change the mount",
         )
@@ -317,8 +317,8 @@ class Simulator:
         angles = np.round(state[: self.size], 4).tolist()
         return f"t = {(self.steps + ahead) * self.loop.dt:.4f} s, {what} = {angles}"
 
-    def _diverged(self, state: Array, reason: str, ahead: int = 0) -> PlaceError:
-        return PlaceError(
+    def _diverged(self, state: Array, reason: str, ahead: int = 0) -> LoopError:
+        return LoopError(
             f"the closed loop diverged ({reason})",
             value=f"dt = {self.loop.dt} s at {self._at(state, ahead)}",
             remedy="set a smaller loop.dt_ms or lower gains",

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from ..core.arrays import Array
-from ..core.errors import EdgeError, PlaceError, ReachError
+from ..core.errors import EdgeError, LoopError, PlaceError, ReachError
 from ..core.se3 import interpolate, log_so3, poses_of_states
 from ..scene.settings import Exploration
 from . import transfer
@@ -82,9 +82,9 @@ class ExplorationStateMachine:
 
         Where contact cannot be made or kept, or runs over an edge, a part of the place is given
         up; all of it where the body cannot come to it through the air. Where no place can be
-        explored, raises the error of the last one: PlaceError, or ReachError of an arm. Where there
-        is one place only, raises it also if most of it cannot be explored, or for another reason
-        than an edge, or with an arm.
+        explored, raises the error of the last one: PlaceError, or ReachError of an arm; also where
+        the loop diverges in most of the rows. Where there is one place only, raises it also if most
+        of it cannot be explored, or for another reason than an edge, or with an arm.
         """
         simulator = self.simulator
         last: Track | None = None  # the one that the contact has followed, and not left
@@ -112,11 +112,19 @@ class ExplorationStateMachine:
                     edge = isinstance(error, EdgeError) and not simulator.loop.joints
                     if len(self.tracks) == 1 and not edge:
                         raise
+                    reached = track[: self.row + 1]
                     yield from self._skip(track, error)
-        most = 0.5 * len(self.tracks[0]) if len(self.tracks) == 1 else np.inf
-        rows = sum(part.rows.stop - part.rows.start for part in simulator.given_up)
-        if simulator.given_up and (not self.explored or rows > most):
-            raise simulator.given_up[-1].error
+                    last = reached if simulator.loop.joints else track
+        self._check_given_up()
+
+    def _check_given_up(self) -> None:
+        """Raise the last error where nothing was explored, or too much given up."""
+        given_up = self.simulator.given_up
+        alone = len(self.tracks) == 1
+        lost = [part for part in given_up if alone or isinstance(part.error, LoopError)]
+        rows = sum(part.rows.stop - part.rows.start for part in lost)
+        if given_up and (not self.explored or rows > 0.5 * sum(map(len, self.tracks))):
+            raise (lost or given_up)[-1].error
 
     def _skip(self, track: Track, error: PlaceError | ReachError) -> Iterator[Steps]:
         """Give up the next SKIP_TIME of the track; with an arm, the rest of it."""

@@ -42,10 +42,10 @@ second neighbours (1.73)."""
 ROUNDS, SETTLINGS, STEPS = 4, 4, 12
 """Of relaxing: rounds, after each but the last of which gaps are filled; projections onto the
 surface in a round; steps under the same springs before a projection."""
-OPPOSITE = -0.5
+OPPOSITE = -0.99
 """Cosine between the normals of two sites below which they lie on opposite sides of a plate, and
-keep no distance through it: across the edge of a box it is 0, across that of a triangular prism
--0.5."""
+keep no distance through it: its sides are parallel to 8 degrees. Those of wedges and cones are not,
+and meet at an edge or a tip, round which the sites are near each other."""
 NEAREST = 16
 """Sites among which one on the own side of a plate is sought: two rings of a lattice on the
 opposite side have 12 about a point between three sites."""
@@ -278,7 +278,7 @@ def _relax_springs(body: Body, region: regions.Region, sites: Lattice, spacing: 
     for _ in range(STEPS):
         between = moved[two] - moved[one]
         length = np.sqrt(np.einsum("ij,ij->i", between, between))
-        strain = 1.0 - spacing / length
+        strain = 1.0 - spacing / np.maximum(length, 1e-6 * spacing)
         strain[strain > 0] *= 0.5  # tension is half as stiff as compression
         pull = strain[:, None] * between
         force = sums_by_group(np.concatenate([pull, -pull]), ends, len(point))

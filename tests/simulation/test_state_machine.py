@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import groupby
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -165,6 +166,25 @@ def test_a_contact_that_cannot_be_held_costs_itself_alone(
     assert np.abs(np.concatenate([s.q for s in found])).max() < 10.0
     assert sum(len(s.time) for s in found if s.phase == state_machine.SLIDE) == 600
     assert np.linalg.norm(found[-1].outputs[-1, :3] - path.points[1799]) < 1e-3
+
+
+def test_a_loop_that_diverges_nearly_everywhere_is_no_success(prepared, track):
+    simulator, _ = prepared("quasi_static")
+    places = [track[:600], track[600:1200], track[1200:1800]]
+    rollout, slides = simulator.rollout.run, 0
+
+    def diverge(*args):
+        nonlocal slides
+        states, outputs = rollout(*args)
+        slides += explorer.phase == state_machine.SLIDE
+        if explorer.phase == state_machine.SLIDE and slides > 1:
+            states[-1, 0] = np.nan
+        return states, outputs
+
+    explorer = ExplorationStateMachine(simulator, places, SETTINGS, None)
+    simulator.rollout = SimpleNamespace(run=diverge)
+    with pytest.raises(SimulationError, match="diverged"):
+        list(explorer.run())
 
 
 def test_steps_over_a_patch_that_folds_are_taken_again_from_the_mesh(prepared, track, along):

@@ -300,3 +300,11 @@ def test_both_sides_of_a_thin_plate_are_covered(thickness, spacing):
         corners = np.stack(np.meshgrid([-0.035, 0.0, 0.035], [-0.025, 0.0, 0.025]), -1)
         reach = KDTree(own[:, :2]).query(corners.reshape(-1, 2))[0]
         assert reach.max() < 1.2 * spacing  # no hole
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_taxels_keep_their_distance_round_the_tip_of_a_cone(seed):
+    """Its sides are opposite, but not those of a plate: they meet at the tip."""
+    cone = trimesh.creation.cone(0.01, 0.08, sections=48).subdivide().subdivide()
+    skin = Skin.cover(Body.from_mesh(cone), spacing=6e-3, seed=seed)
+    assert KDTree(skin.positions).query(skin.positions, k=2)[0][:, 1].min() > 4e-3

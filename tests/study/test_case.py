@@ -10,7 +10,7 @@ import study_runs
 import meshskin as ms
 from meshskin.core.errors import ConfigError, StudyError, UnknownNameError
 from meshskin.core.se3 import transform
-from meshskin.study.sweep.base_scene import changed_tables
+from meshskin.study.sweep.base_scene import changed_tables, source_text
 from meshskin.study.sweep.case import checked_results, environment, source_digest
 
 NOISE = "effects.gaussian_noise.sigma_relative"
@@ -228,3 +228,29 @@ def test_a_study_changes_an_effect_of_the_program_and_knows_its_source(
         found += study.cases()
     assert found[0].scene.effects[0].factor == 3.0
     assert found[0].key == found[2].key != found[1].key
+
+
+@pytest.mark.parametrize("base", ["object", "file"])
+def test_an_effect_that_the_grid_adds_is_known_by_its_source(sphere, tmp_path, monkeypatch, base):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    keys = []
+    for k, text in enumerate((OWN, OWN.replace("self.factor *", "-self.factor *"), OWN)):
+        name = f"added_{base}_{k}"
+        (tmp_path / f"{name}.py").write_text(text.replace("Scaled", "Added"))
+        importlib.import_module(name)
+        study = ms.Study(
+            "s", base=sphere if base == "object" else "sphere", grid={"effects.added.factor": [3.0]}
+        )
+        keys += [case.key for case in study.cases()]
+    assert keys[0] == keys[2] != keys[1]
+
+
+def test_the_source_of_a_class_without_a_file_is_that_of_its_functions():
+    """As of a class in a cell of a notebook, whose module is __main__."""
+
+    class Cell:
+        def build(self):
+            return 1
+
+    Cell.__module__ = "__main__"
+    assert source_text(Cell).strip().startswith("def build")

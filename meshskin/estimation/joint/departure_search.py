@@ -145,7 +145,7 @@ def _likelier_with_wider_forces(
 ) -> RandomEffects:
     """The estimate from the unknowns u with WIDE_FORCES if it makes the readings more likely, else
     `effects`, as where it is singular, or its forces have no bounds."""
-    d = replace(d, force=WIDE_FORCES)
+    d = replace(d, force=max(WIDE_FORCES, d.least_force))
     readings, pattern = effects.selected
     wider = RandomEffects(effects.data, readings, u, d, pattern, effects.stage)
     try:

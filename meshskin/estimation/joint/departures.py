@@ -76,6 +76,8 @@ class FittedReadings:
     """Prior precisions (D,) of these."""
     tangents: Array
     """Directions (n, 3, 2) of the position's two unknowns."""
+    gain: Array | float = 1.0
+    """Gains (k,) in them."""
     system: CoupledSystem | None = None
     """Normal equations of all unknowns, where contacts have errors of their own."""
     jacobian: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -312,6 +314,7 @@ def fitted_readings(estimator: JointEstimator, weight: Array) -> FittedReadings:
         points=points,
         mu=mu,
         offset=offset,
+        gain=np.exp(nuisance[taxel, names.index("gain")]) if "gain" in names else 1.0,
         rate=weight * rate,
         curvature=weight * curvature,
         own=np.concatenate([along, jacobian[3 : 3 + len(names)]]),

@@ -150,7 +150,7 @@ class _Shares:
         """L x (q,)."""
         spread = np.zeros(self.own.shape[:2])
         spread[self.at] = x
-        own = np.einsum("nst,nt->ns", self.own, spread)[self.at]
+        own = (self.own @ spread[..., None])[..., 0][self.at]
         return np.asarray(own - self.common @ (self.common.T @ x))
 
     def uniform(self) -> float:
@@ -231,13 +231,14 @@ def _normal_equations(
     taxel = key // n
     slot = np.arange(len(key)) - np.searchsorted(taxel, taxel)
     pressure = np.maximum(fitted.mu - fitted.offset, 0.0)
+    gain = np.broadcast_to(fitted.gain, pressure.shape)
     shared = pressure[:, None]  # a common scale, where the global parameters have no derivatives
     if fitted.system is not None:
         shared = fitted.jacobian[:, size : size + len(fitted.data.parameters.sigma)]
     first = size + int(slot.max(initial=-1)) + 1
     columns = np.zeros((len(fitted.mu), first + shared.shape[1]))
     columns[:, :size], columns[:, first:] = fitted.own.T, shared
-    columns[row, size + slot[owner]] = pressure[column]
+    columns[row, size + slot[owner]] = gain[row] * pressure[column] / gain[column]
     matrix = np.empty((n, columns.shape[1], columns.shape[1]))
     for k in range(n):
         mine = slice(*readings.starts[k : k + 2])

@@ -237,7 +237,8 @@ def _shared_values(effects: RandomEffects, covariance: Array) -> dict[str, tuple
         del found[label]
     found["contact_scatter"] = d.position, d.position / float(np.sqrt(4 * m))
     force = force_scatter(effects)
-    found["force_scatter"] = force, force / float(np.sqrt(2 * m))
+    measured = effects.data.force_measured  # else it contains the errors of the estimated forces
+    found["force_scatter"] = force, force / float(np.sqrt(2 * m)) if measured else force
     return found
 
 

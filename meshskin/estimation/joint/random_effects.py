@@ -176,6 +176,7 @@ class RandomEffects:
             offset=self.unknowns.nuisance[self.readings.taxel, 1],
             rate=rate / self.spread,
             curvature=curvature / self.spread**2,
+            gain=np.exp(self.unknowns.nuisance[self.readings.taxel, 0]),
             own=self.jacobian[:, : self.size].T,
             prior=self.prior[0],
             tangents=self.unknowns.parametrization.charts.tangents,

@@ -22,9 +22,10 @@ FLATNESS = 0.5e-3
 """Largest distance of taxels from a plane on which they may share one normal, m."""
 NEIGHBOURS = 3
 """Nearest neighbours with whose normals that of a taxel is compared."""
-SAME_RING = 1.25
-"""Distance, in that of the last of them, of further taxels that are compared with, too: at the rim
-of a thin plate the nearest may lie on its other side."""
+BEHIND = 0.15
+"""Depth below a taxel, in their distance from it, from which its nearest neighbours are on the
+other side of a thin plate: at the middle of a plate as thick as a quarter of the spacing it is
+0.24; neighbours at 6 mm on a hollow of radius 20 mm, seen from a flipped taxel, have 0.15."""
 FIT_TOLERANCE = 1.5e-3
 """Largest rms distance of taxels from the fitted module for its side to be decided, m: far below
 the 6.5 mm between neighbouring taxels."""
@@ -93,15 +94,13 @@ def flipped(table: SkinTable) -> Iterator[Defect]:
     rows = rows.take(length > 0.0)
     n = rows.normals / length[length > 0.0, None]
     if len(n) > NEIGHBOURS:
-        tree, count = KDTree(rows.positions), min(2 * NEIGHBOURS, len(n) - 1)
-        gap, near = (x[:, 1:] for x in tree.query(rows.positions, k=count + 1))
-        cosine = np.einsum("ij,ikj->ik", n, n[near])
-        cosine[gap > SAME_RING * gap[:, NEIGHBOURS - 1 : NEIGHBOURS]] = -1.0
-        against = cosine.max(axis=1) < -0.5
-        near = near[:, :NEIGHBOURS]
-        offset = rows.positions[near] - rows.positions[:, None]
-        height = np.abs(np.einsum("ikj,ij->ik", offset, n))
-        against &= np.all(height < 0.5 * np.linalg.norm(offset, axis=2), axis=1)
+        _, near = KDTree(rows.positions).query(rows.positions, k=NEIGHBOURS + 1)
+        against = np.einsum("ij,ikj->ik", n, n[near[:, 1:]]).max(axis=1) < -0.5
+        offset = rows.positions[near[:, 1:]] - rows.positions[:, None]
+        apart = np.linalg.norm(offset, axis=2)
+        height = np.einsum("ikj,ij->ik", offset, n)
+        against &= np.all(np.abs(height) < 0.5 * apart, axis=1)
+        against &= ~np.all(height < -BEHIND * apart, axis=1)
         if against.any():
             what = f"{against.sum()} normals are opposite to those of all neighbours"
             yield defect(table, "flipped", what, "reverse them", rows.ids[against])

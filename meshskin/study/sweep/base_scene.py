@@ -22,6 +22,7 @@ from ...core import config
 from ...core.arguments import check_type
 from ...core.errors import ConfigError, StudyError, UnknownNameError
 from ...core.provenance import digest
+from ...effects import find
 from ...scene import shipped_scenes
 
 if TYPE_CHECKING:
@@ -77,7 +78,8 @@ class SceneFile(BaseScene):
             part = data.get(table)
             if isinstance(part, Mapping) and key in part:
                 data[table] = {**part, key: self._content(str(part[key]))}
-        return canonical_json({k: v for k, v in data.items() if k not in ("name", "description")})
+        words = {k: v for k, v in data.items() if k not in ("name", "description")}
+        return canonical_json(words) + own_sources(data)
 
     def _content(self, name: str) -> str:
         """Digest of a file beside the scene or shipped; its name if there is no such file."""
@@ -113,7 +115,6 @@ class SceneObject(BaseScene):
             scene.arm.base,
             repr((scene.skin.disc_radius, scene.arm.tip, scene.arm.folders, scene.payload)),
             scene.arm.urdf,
-            *(source_text(kind) for kind in map(type, scene.effects) if _foreign(kind)),
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -138,7 +139,8 @@ class SceneObject(BaseScene):
 
     def identity(self, parameters: SceneTable) -> str:
         """Digest of the fixed parts, and the changed tables."""
-        return self._fixed + canonical_json(changed_tables(self._tables, parameters))
+        data = changed_tables(self._tables, parameters)
+        return self._fixed + canonical_json(data) + own_sources(data)
 
     def scene(self, parameters: SceneTable) -> Scene:
         """The scene with these parameters. Raises ConfigError."""
@@ -245,12 +247,21 @@ def _foreign(kind: type) -> bool:
     return kind.__module__.partition(".")[0] != __name__.partition(".")[0]
 
 
+def own_sources(tables: SceneTable) -> str:
+    """The sources of the effects in the tables of a scene that are not of this package."""
+    effects = [*tables.get("effects", ()), *tables.get("candidates", ())]
+    names = {str(table["kind"]) for table in effects if "kind" in table}
+    return "".join(source_text(kind) for kind in map(find, sorted(names)) if _foreign(kind))
+
+
 def source_text(code: Any) -> str:
-    """The source of a function or class; empty where it has none."""
+    """The source of a function or class; empty where it has none. In a notebook that of a class is
+    not found, that of its functions is."""
     try:
         return inspect.getsource(code)
     except (OSError, TypeError):
-        return ""
+        parts = filter(inspect.isfunction, vars(code).values()) if inspect.isclass(code) else ()
+        return "".join(map(source_text, parts))
 
 
 def canonical_json(value: Any) -> str:
