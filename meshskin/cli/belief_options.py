@@ -201,8 +201,8 @@ def _by_options(options: argparse.Namespace) -> Belief:
     if missing:
         raise ConfigError(
             f"required options are missing: {', '.join(missing)}",
-            remedy="give --scene, or all of --body, --indenter-radius-mm and --young-kpa (which "
-            "--raw does not need)",
+            remedy="give --scene, or all of --body (or --urdf and --link), "
+            "--indenter-radius-mm and --young-kpa (which --raw does not need)",
         )
     body, indenter = body_options.load(options.body, options), 1e-3 * options.indenter_radius_mm
     if options.skin_mm is not None:

@@ -167,8 +167,10 @@ def summary(frames: LogFrames, log: Log) -> Iterator[str]:
     for note in frames.notes[len(log.notes) :]:
         yield f"  note: {note}"
     touched = int((found.readings[found.in_contact] > 6 * found.noise).any(axis=0).sum())
+    touches = len(found.contacts)
     yield (
         f"  on one clock: {len(found.time)} frames, {len(found.joint_names)} joints, "
-        f"{len(found.taxel_ids)} taxels of which {touched} answer, {len(found.contacts)} contacts"
+        f"{len(found.taxel_ids)} taxels of which {touched} answer, "
+        f"{touches} touch{'es' * (touches != 1)} from onset to lift-off"
         + ("" if found.force is None else f", force up to {found.force.max():.3g} N")
     )

@@ -150,5 +150,5 @@ def _lines(found: LogCalibration) -> list[str]:
     return [
         f"  contacts lie {before:.3g} mm off the body before the estimate, {after:.2g} mm after it",
         *(against if DELAYS in model.columns and timed else []),
-        *(f"    {residual.words}" for residual in found.joint_residuals),
+        *(f"  {residual.words}" for residual in found.joint_residuals if residual.words),
     ]

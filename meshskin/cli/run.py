@@ -154,7 +154,10 @@ def _errors(m: dict[str, Any]) -> list[str]:
         _row("other methods", ", ".join(others)),
     ]
     if m["worse_than_centroid"]:
-        lines.append(f"  worse than centroid  {', '.join(m['worse_than_centroid'])}")
+        from ..report.data import method_name
+
+        worse = "; ".join(map(method_name, m["worse_than_centroid"]))
+        lines.append(_row("worse than centroid", worse))
     return lines
 
 
@@ -186,12 +189,12 @@ def _promise(promise: dict[str, Any]) -> str:
 
 
 def _left_out(m: dict[str, Any], folder: Path, unreachable: dict[str, str]) -> list[str]:
-    """Methods and figures that no time was left for, and taxels that were not reached."""
+    """Methods and figures that no time was left for, and taxels that were not covered."""
     missing = {"not compared": m["left_out"], "not drawn": m["figures_left_out"]}
     lines = [_row(k, f"no time for {', '.join(names)}") for k, names in missing.items() if names]
     if lines:
         lines.append(_row("to add them", f"meshskin report {folder}"))
-    counts = "planned {planned}, reached {reached}, given up {given_up}"
-    lines.append(_row("taxels", counts.format_map(m["coverage"])))
+    counts = "{planned} of {taxels} taxels by the plan, {reached} by the run, {given_up} given up"
+    lines.append(_row("covered", counts.format(taxels=m["taxels"], **m["coverage"])))
     reasons = Counter(unreachable.values()).most_common()
-    return lines + [_row("not reached", f"{n} taxel{'s' * (n > 1)}: {why}") for why, n in reasons]
+    return lines + [_row("not covered", f"{n} taxel{'s' * (n > 1)}: {why}") for why, n in reasons]

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..core import arrow
+from ..core.arguments import check_path
 from ..core.atomic_io import atomic, write_text
 from ..core.errors import CalibrationError
 from .result import LearnedResponse
@@ -59,7 +60,8 @@ def write(found: Calibration, path: str | Path) -> None:
 
 def read(path: str | Path) -> dict[str, Any]:
     """The fields of the calibration that `write` wrote. Raises CalibrationError for other files."""
-    file = _part(Path(path), "parquet")
+    path = check_path("a calibration file", path, error=CalibrationError)
+    file = _part(path, "parquet")
     if not file.exists():
         raise CalibrationError(f"no calibration at {path}", remedy="check the path")
     try:

@@ -15,9 +15,9 @@ from ..scene.belief import Belief
 from .calibration import Calibration
 from .uncertainty.verdict import FAIL, Verdict
 
-CIRCULAR = "its contact points were computed from the map that is sought"
+CIRCULAR = "contact points that were computed from the map that is sought"
 """Reason of every taxel."""
-UNTOUCHED = "it never answered while the skin had a single contact"
+UNTOUCHED = "no answer while the skin had a single contact"
 """Reason of a taxel without readings."""
 
 

@@ -113,9 +113,10 @@ def without_parts(
 
 
 def coverage(taxels: int, unreachable: Mapping[str, str]) -> dict[str, int]:
-    """Of a number of taxels, how many a plan reaches, a run reached, and the run gave up.
+    """Of a number of taxels, how many a plan covers, a run covered, and the run gave up.
 
-    unreachable: the reason for each taxel that was not reached.
+    A taxel that contacts pass along one line only has readings and is not covered.
+    unreachable: the reason for each taxel that was not covered.
     """
     given_up = sum(why.startswith(GIVEN_UP) for why in unreachable.values())
     reached = taxels - len(unreachable)

@@ -88,7 +88,7 @@ def explore(
     with `exploration.contacts`, the spacing of the lanes. dt, s: period of the path; frame, s: of
     the readings. mode: "arm", or "quasi_static" for a body that moves without an arm.
     progress("explore", done, total): called between the steps of planning lanes. Warns where taxels
-    are not reached (LeftOutWarning). Raises ReachError where nothing can be explored, SkinError for
+    are not covered (LeftOutWarning). Raises ReachError where nothing can be explored, SkinError for
     a region too small, ContactError where no contact model holds, ConfigError for a value out of
     range.
     """
@@ -114,7 +114,7 @@ def explore(
         rig = scene.rig_of(scene.indentation.patch("field", _typical_curvature(scene)))
     carried = scene.indenter.carried_by is not None
     plan = contact_plan(scene, rig) if carried else lane_plan(scene, rig, progress)
-    warn_left_out("reached", plan.unreachable.values(), len(skin))
+    warn_left_out("covered", plan.unreachable.values(), len(skin))
     return plan
 
 

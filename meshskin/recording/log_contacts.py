@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from ..core.arrays import Array
-from ..core.errors import RecordingError, UnknownNameError
+from ..core.errors import RecordingError
 from ..robot.contact_kinematics import JointPath
 from .recording import CONTACTS, JOINT_ANGLES, NOMINAL, READINGS, Recording
 from .skin_log import SkinLog
@@ -35,7 +35,7 @@ contact."""
 def joint_path(log: SkinLog, joint_names: tuple[str, ...]) -> JointPath:
     """The path of the joints `joint_names` in a log, by the frames that have them all.
 
-    Raises UnknownNameError for a joint that the log lacks, RecordingError for a single frame.
+    Raises RecordingError for a joint that the log lacks and for a single frame.
     """
     if joint_names and not log.joint_names:
         raise RecordingError(
@@ -43,9 +43,13 @@ def joint_path(log: SkinLog, joint_names: tuple[str, ...]) -> JointPath:
             value="no stream of kind joints in its map",
             remedy=f'add a [[stream]] of kind = "joints" with {", ".join(sorted(joint_names))}',
         )
-    for name in joint_names:
-        if name not in log.joint_names:
-            raise UnknownNameError("joint", name, log.joint_names, " of the log")
+    if lacking := [name for name in joint_names if name not in log.joint_names]:
+        raise RecordingError(
+            "the log lacks angles of joints between the indenter and the body",
+            value=", ".join(lacking),
+            limit=f"joints of the log: {', '.join(log.joint_names)}",
+            remedy="record them, or correct names in the map",
+        )
     angles = log.joint_angles[:, [log.joint_names.index(name) for name in joint_names]]
     known = np.isfinite(angles).all(axis=1)
     if known.sum() < 2:

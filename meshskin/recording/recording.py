@@ -119,7 +119,7 @@ class Recording(Value, Card):
             facts["force"] += "" if self.force_measured else ", not measured: a reference force"
         facts["arm's motion"] = "none" if self.motion is None else f"{len(self.motion):,} steps"
         lost = self.metadata.get("unreachable") or {}
-        return facts | ({"taxels not reached": str(len(lost))} if lost else {})
+        return facts | ({"taxels not covered": str(len(lost))} if lost else {})
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the contact points, coloured by the force; ax: matplotlib axes (None: a figure)."""

@@ -43,6 +43,8 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     RecordingError for a log that was not read with the map, times that run backwards, streams of
     two publishers, streams that do not overlap in time, and a skin that never answers.
     """
+    check_type(Log, log, "a log")
+    check_type(LogMap, log_map, "the map of a log")
     pairs, notes = [], [*log.notes]
     for stream, given in paired(log, log_map):
         sound, note = without_garbage(stream)
@@ -310,7 +312,9 @@ def _rest_level(frames: Array, values: Array, in_contact: NDArray[np.bool_], nam
     else:
         raise RecordingError(
             f"the level of {name} at rest is not known: the skin is in contact all the time",
-            remedy="lift off the robot for a second at the start of a log",
+            value=f"{np.mean(~in_contact):.0%} of {len(frames)} frames without contact",
+            limit=f"{MIN_REST:.0%} of {BLOCK:g} s",
+            remedy=f"lift off for a second at the start of a log, or leave {name} out of the map",
         )
     at = [rest & (block == k) for k in known]
     middle = np.array([frames[rows].mean() for rows in at])

@@ -32,6 +32,7 @@ METHOD_NAMES = {
     "posegraph_paper": "pose graph, three chosen circles",
     "centroid": "centroid of contact points",
     "coactivation": "layout by co-activation",
+    "none": "not calibrated",
 }
 """Names of methods for people; others keep their own, with spaces for underscores."""
 BASELINE = "centroid"

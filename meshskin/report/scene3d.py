@@ -137,11 +137,13 @@ def section(data: ReportData) -> str:
     """The 3D view with its caption."""
     body = data.body
     below = body is not None and data.recording is not None and _below(body, data.recording)
-    caption = (
-        "Drag to rotate, scroll to zoom, click a legend entry to hide or show it; point at a taxel "
-        "to see its numbers. Frames: x red, y green, z (outward) blue. Ellipsoids: stated 1 sigma "
-        "along the skin, enlarged by the factor in the legend."
-    )
+    caption = "Drag to rotate, scroll to zoom, click a legend entry to hide or show it"
+    if np.isfinite(data.display_positions).any():
+        caption += (
+            "; point at a taxel to see its numbers. Frames: x red, y green, z (outward) blue. "
+            "Ellipsoids: stated 1 sigma along the skin, enlarged by the factor in the legend"
+        )
+    caption += "."
     if body is not None and len(body.facets.faces) > MAX_FACES:
         caption += " The mesh of the body is simplified away from the skin."
     if below:

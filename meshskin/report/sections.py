@@ -45,9 +45,9 @@ COST_HINT = (
 )
 METRIC_NOTES = {
     "touched": "taxels with at least one reading",
-    "coverage.planned": "taxels that the plan reaches",
-    "coverage.reached": "taxels that the run reached",
-    "coverage.given_up": "taxels that the plan reaches and the run gave up",
+    "coverage.planned": "taxels that the plan covers by contacts on several sides",
+    "coverage.reached": "taxels that the run covered so",
+    "coverage.given_up": "taxels that the plan covers and the run gave up",
     "contacts": "frames with contact",
     "readings": "of single taxels, above the threshold",
     "crlb_mm.mean": "Cramér-Rao bound: lowest mean error of an unbiased estimate",
@@ -63,7 +63,7 @@ METRIC_NOTES = {
     "force.lost_contact_steps": "steps without contact after the first touch",
     "demonstration_mm": "mean error of the pose graph on perturbed true displacements",
     "steps": "of the closed loop",
-    "steps_per_second": "of the closed loop with arm dynamics",
+    "steps_per_second": "of the closed loop, by computing time",
 }
 """Meaning of metrics."""
 
@@ -73,31 +73,32 @@ def content(data: ReportData, pictures: Sequence[SavedFigure]) -> Content:
     scene = data.provenance.get("scene") or _metadata(data).get("scene") or data.calibration.frame
     created = _format_time(str(data.provenance.get("created", "")))
     kind = "simulation with known truth" if data.truth is not None else "recording"
-    verdict = data.calibration.verdict
+    verdict, steps = data.calibration.verdict, advice.next_steps(data)
     reasons = {}
     if verdict is not None and verdict.reasons:
         reasons["Verdict"] = [bullets(f"{verdict.level}:", verdict.reasons)]
+    sections = {
+        **reasons,
+        "Observability": advice.observability(data),
+        "Recommendations": [bullets("", steps)] if steps else [],
+        "3D view": [scene3d.section(data)],
+        **learned_response.section(data.calibration.response, pictures),
+        "Figures": [saved_figure(p) for p in pictures if p.png.stem not in OWN_SECTIONS],
+        "Numbers": _numbers(data),
+        **evidence.kinematics(data),
+        **evidence.validation(data),
+        **evidence.residuals(data, [p for p in pictures if p.png.stem == RESIDUALS]),
+        **budget(data),
+        "Accuracy and time": _accuracy_time(data, pictures),
+        "Taxels": [_taxels(data)],
+        "Provenance": [_provenance(data)],
+    }
     return Content(
         title=f"Skin calibration: {scene}" if isinstance(scene, str) else "Skin calibration",
         subtitle=" · ".join(filter(None, (kind, method_name(data.calibration.method), created))),
         summary=summary_sentence(data),
         tiles=key_numbers(data),
-        sections={
-            **reasons,
-            "Observability": advice.observability(data),
-            "Recommendations": [bullets("", advice.next_steps(data))],
-            "3D view": [scene3d.section(data)],
-            **learned_response.section(data.calibration.response, pictures),
-            "Figures": [saved_figure(p) for p in pictures if p.png.stem not in OWN_SECTIONS],
-            "Numbers": _numbers(data),
-            **evidence.kinematics(data),
-            **evidence.validation(data),
-            **evidence.residuals(data, [p for p in pictures if p.png.stem == RESIDUALS]),
-            **budget(data),
-            "Accuracy and time": _accuracy_time(data, pictures),
-            "Taxels": [_taxels(data)],
-            "Provenance": [_provenance(data)],
-        },
+        sections={title: blocks for title, blocks in sections.items() if blocks},
     )
 
 
@@ -123,7 +124,7 @@ def _numbers(data: ReportData) -> list[str]:
         header = ("position error of", "mean (mm)", "rms (mm)", "max (mm)", "")
         blocks.append(table(header, rows, numeric=(1, 2, 3)))
         if data.worse_than_centroid:
-            words = ", ".join(map(method_name, data.worse_than_centroid))
+            words = "; ".join(map(method_name, data.worse_than_centroid))
             line = f"Mean error above that of the baseline, the centroid: {words}."
             blocks.append(paragraphs(line))
         if {"eq15", "posegraph_paper"} & set(data.errors):
@@ -198,7 +199,8 @@ def _accuracy_time(data: ReportData, pictures: Sequence[SavedFigure]) -> list[st
     if rows:
         header = ("estimator", "mean error (mm)", "relative to the bound", "seconds")
         blocks.append(table(header, rows, numeric=(1, 2, 3)))
-    return [*blocks, _seconds(data.seconds), paragraphs(COST_HINT)]
+    hint = [] if data.truth is None else [paragraphs(COST_HINT)]
+    return [*blocks, _seconds(data.seconds), *hint]
 
 
 def budget(data: ReportData) -> dict[str, list[str]]:

@@ -64,7 +64,7 @@ def simulate(
     the effects of an earlier run, to continue instead of new ones of the seed. A carried indenter
     is pressed once at each contact of the plan, at rest at the plan's force. Warns where the
     contact force leaves its reference after settling (`response.describe_departure`), where parts
-    of the path are given up, and where taxels are not reached (LeftOutWarning); the recording's
+    of the path are given up, and where taxels are not covered (LeftOutWarning); the recording's
     metadata hold their ids with the reasons (`unreachable`; of parts that were given up, the
     reason begins with "given up"), and the reason of each such part (`given_up`). Raises ReachError
     if the arm cannot follow the path, SimulationError if the loop fails, ConfigError for a scene
@@ -87,7 +87,7 @@ def simulate(
         )
     if scene.indenter.carried_by is not None:
         recording = _pressed(scene, seed, path or plan_exploration(scene).path, out, chain)
-        warn_left_out("reached", recording.metadata["unreachable"].values(), len(scene.skin))
+        warn_left_out("covered", recording.metadata["unreachable"].values(), len(scene.skin))
         return recording
     planning = Stage(progress, "plan", 1)
     simulator, path = prepare(scene, path=path)
@@ -104,7 +104,7 @@ def simulate(
         recording = record_steps(scene, simulator, path, steps, seed, chain)
     for words in filter(None, (describe_departure(recording), _given_up(recording))):
         warnings.warn(words, stacklevel=2)
-    warn_left_out("reached", recording.metadata["unreachable"].values(), len(scene.skin))
+    warn_left_out("covered", recording.metadata["unreachable"].values(), len(scene.skin))
     return recording
 
 

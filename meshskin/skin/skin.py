@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core import se3
-from ..core.arguments import check_integer, check_real, check_type
+from ..core.arguments import check_integer, check_path, check_real, check_type
 from ..core.arrays import Array, median_spacing
 from ..core.errors import SkinError
 from ..core.notebook import Card, Tabular
@@ -211,14 +211,13 @@ class Skin(Value, Card, Tabular):
 
         Formats: CSV, iCub position files and layouts, iDynTree transforms, URDF (frames, or sensors
         of urdf_tactile), and MJCF, NPZ, YAML, PLY and GLB as `save` writes them. `part` chooses one
-        of the skins of a URDF or MJCF. `units` are those of the
-        positions in the file: "m", "cm", "mm" or "in". Rows that the file declares not to be taxels
-        are skipped. The rotation of a taxel whose normal is not in the file is NaN; `onto` sets it.
-        Raises SkinError.
+        of the skins of a URDF or MJCF. `units` are those of the positions in the file: "m", "cm",
+        "mm" or "in". Rows that the file declares not to be taxels are skipped. The rotation of a
+        taxel whose normal is not in the file is NaN; `onto` sets it. Raises SkinError.
         """
         if units not in UNITS:
             raise SkinError("unknown unit", value=repr(units), limit=f"one of {[*UNITS]}")
-        table = files.read(Path(path), part)
+        table = files.read(path, part)
         table = table.take(table.is_taxel())
         table = replace(table, positions=UNITS[units] * table.positions)
         poses = table.poses(Path(path).name)
@@ -242,10 +241,11 @@ class Skin(Value, Card, Tabular):
         `parent`: of the two URDF formats, a link to which `link` is fixed, at its origin.
         Raises SkinError, OutputError.
         """
-        kind = (format or Path(path).suffix.lstrip(".")).lower()
-        frame = link or self.frame or Path(path).stem
+        path = check_path("a skin file", path, error=SkinError)
+        kind = (format or path.suffix.lstrip(".")).lower()
+        frame = link or self.frame or path.stem
         rows = SkinRows(self.poses, self.ids, self.disc_radius, frame, self.sigmas, parent)
-        files.write(Path(path), kind, rows)
+        files.write(path, kind, rows)
 
     def moved(self, T_b_a: ArrayLike, frame: str | None = None) -> Skin:
         """This skin, given in frame a, in another frame b; `T_b_a` (4, 4) is the pose of a.
@@ -270,9 +270,9 @@ class Skin(Value, Card, Tabular):
 
         Each frame is rotated by the shortest rotation to its new normal. A frame that is NaN, or
         whose normal is opposite to the new one, is set by `se3.orthonormal_basis`. Skin and body
-        are in one frame. Raises SkinError where a taxel is farther than `within` (m) from the
-        surface.
+        are in one frame. Raises SkinError where a taxel is farther than `within` (m) from it.
         """
+        check_type(Body, body, "what a skin is moved onto")
         at = body.closest(self.positions)
         distance = np.abs(at.distance)
         if len(self) and distance.max() > within:

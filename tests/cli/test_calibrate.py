@@ -110,6 +110,7 @@ def test_a_recording_with_a_scene(recording, tmp_path, capsys):
     [
         (["--scene", "nosuch"], "nosuch"),
         ([], "missing: --body, --indenter-radius-mm, --young-kpa; give --scene"),
+        (["--raw"], r"--body (or --urdf and --link), --indenter-radius-mm and --young-kpa"),
         (["--scene", "sphere_noisy", "--method", "guess"], "guess"),
         (["--scene", "sphere_noisy", "--unknown", "gains"], "gains"),
         (["--scene", "sphere_noisy", "--contact", "hertzian"], "hertzian"),

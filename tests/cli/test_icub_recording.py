@@ -34,6 +34,9 @@ def test_the_report_says_that_it_cannot_be_calibrated(tmp_path, capsys):
     assert "0 of 47 taxels determined" in printed
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "computed by the robot from the taxels that answered" in page
+    assert "recording · not calibrated" in page
+    for absent in ("Recommendations", "meshskin cost SCENE", "point at a taxel"):
+        assert absent not in page
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["verdict"]["level"] == "FAIL"
     found = ms.Calibration.load(out / "calibration")

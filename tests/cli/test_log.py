@@ -123,4 +123,6 @@ def test_a_torn_file_is_said_to_be_torn(bag, tmp_path, capsys):
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(bag.read_bytes()[:-5000])
     assert cli.main(["log", str(torn)]) == 0
-    assert "note: torn.mcap is torn" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "note: torn.mcap is torn in the record from byte" in out
+    assert "messages before the tear are read" in out

@@ -12,7 +12,7 @@ from meshskin.recording.from_log import recording_from_log
 from meshskin.recording.log_map import LogMap, StreamMap
 from meshskin.recording.readers import read_log
 from meshskin.recording.recording import UNCOMPARED, Recording
-from meshskin.recording.resample import log_frames
+from meshskin.recording.resample import _rest_level, log_frames
 from meshskin.recording.stream import Log, Stream
 
 from .robot_log import JOINTS, RobotLog
@@ -235,3 +235,17 @@ def test_readings_in_pascals_are_recorded_above_their_noise(streams):
     assert "readings" not in recording.metadata
     assert recording.pressure.min() > 3 * 1e3 * ROBOT.noise
     assert len(recording.pressure) < 0.5 * 25 * len(recording.time)
+
+
+def test_what_is_no_log_is_refused_with_its_value():
+    with pytest.raises(ConfigError, match="a log must be a Log, got 3"):
+        log_frames(3, LogMap((StreamMap("/skin", "taxels"),)))
+
+
+def test_a_force_without_a_level_at_rest_may_be_left_out():
+    """A skin in contact from the first frame to the last tells no level of the force."""
+    frames = np.arange(500) / 50
+    with pytest.raises(RecordingError) as error:
+        _rest_level(frames, np.ones((500, 3)), np.arange(500) > 5, "/wrench")
+    assert "got 1% of 500 frames without contact, limit: 10% of 10 s" in str(error.value)
+    assert "leave /wrench out of the map" in str(error.value)

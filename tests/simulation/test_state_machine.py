@@ -226,7 +226,7 @@ def test_parts_that_are_given_up_and_their_taxels_are_said(prepared, sphere):
     scene = sphere.with_(loop=replace(sphere.loop, mode="quasi_static"))
     with (
         pytest.warns(UserWarning, match="1 part of the path was given up: the body meets"),
-        pytest.warns(ms.LeftOutWarning, match=r"not reached \(\d+: given up: the body meets"),
+        pytest.warns(ms.LeftOutWarning, match=r"not covered \(\d+: given up: the body meets"),
     ):
         recording = ms.simulate(scene, seed=1, path=Path.concatenate(parts))
     lost = [int(taxel) for taxel in recording.metadata["unreachable"]]

@@ -269,3 +269,17 @@ def test_correct_real_files_have_no_defects():
         assert lint(DATA / "icub_body/iCubGazeboV2_5.urdf", part=part) == ()
     for path in (DATA / "icub_skin/layout").glob("*arm*.ini"):
         assert lint(path) == ()
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda value: lint(value),
+        lambda value: Skin.load(value),
+        lambda value: Skin.cover(Body.sphere(0.1), spacing=20e-3).save(value),
+    ],
+)
+def test_what_is_no_path_is_refused_with_its_value(call):
+    for value in (3, Body.sphere(0.1)):
+        with pytest.raises(SkinError, match=r"must be a path, got .*; give a file name"):
+            call(value)

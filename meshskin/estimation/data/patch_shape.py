@@ -56,6 +56,10 @@ EDGE = 0.05
 """Unevenness from which contacts are over an edge. Smooth bodies have less where their curvature
 jumps (0.044 where the caps of bodies/capsule.toml begin) or changes (0.002 on its torus); and the
 contact models themselves hold to some percent of the peak (layered.py)."""
+SMOOTH = 2e-3
+"""Unevenness up to which a body counts as smooth: that of bodies/torus.toml; a sphere has 4e-5, as
+heights grow with the fourth power, too. It differs little from contact to contact there, so that
+readings could not tell errors by it from noise."""
 EDGE_ERROR = 1 / 3
 """Rms error of a contact model's readings in contacts over an edge, relative to the unevenness:
 0.26 to 0.33 for thin layers on link meshes, 0.19 for the prism of test_edges.py (residuals, which
@@ -78,8 +82,8 @@ def unevenness(belief: Belief, hit: Closest, radius: Array | float) -> Array:
     of patches of `radius` (m,), m, relative to the depth of a ball's impression there.
 
     Where the body has an edge within a patch no quadric describes it: pressures there differ from
-    those of any contact model by about this part of the peak, which is what a thin layer's do. An
-    exact surface has no edges.
+    those of any contact model by about this part of the peak, which is what a thin layer's do. A
+    surface that is SMOOTH has 0.
     """
     if not hasattr(belief.body, "surface") or not len(hit.point):
         return np.zeros(len(hit.point))
@@ -89,7 +93,8 @@ def unevenness(belief: Belief, hit: Closest, radius: Array | float) -> Array:
     basis = np.stack([hit.direction, across, hit.normal], axis=2)
     quadric = 0.5 * np.einsum("mc,mpc->mp", hit.curvature, rim**2)
     apart = _heights(belief.body, hit, basis, rim) - quadric
-    return np.asarray(np.sqrt(np.mean(apart**2, axis=1)) * belief.indenter.radius / size**2)
+    found = np.sqrt(np.mean(apart**2, axis=1)) * belief.indenter.radius / size**2
+    return np.where(found > SMOOTH, found, 0.0)
 
 
 def over_edges(belief: Belief, hit: Closest, force: Array, learned: float | None = None) -> Array:

@@ -66,9 +66,8 @@ def calibrate_log(
     the log has counts. Forces are the log's, else the reference force at every contact, whose
     errors the learned response estimates. The believed noise of a reading is the least: the joint
     angles have some, too, by which contacts scatter. progress: as of `calibrate`, in each round.
-    Raises UnknownNameError for a joint that the log lacks,
-    RecordingError for a log without contacts, CalibrationError where the heights do not converge,
-    and as `calibrate`.
+    Raises RecordingError for a log without contacts or without a joint of the chain,
+    CalibrationError where the heights do not converge, and as `calibrate`.
     """
     check_type(SkinLog, log, "what is calibrated")
     check_type(ContactKinematics, kinematics, "kinematics of a log")

@@ -40,11 +40,12 @@ class JointResidual:
 
     @property
     def words(self) -> str:
-        """One line about it."""
-        mark = "" if self.chance > SIGNIFICANCE else ": check its encoder and its link's length"
+        """One line about it; empty where chance explains as much."""
+        if self.chance > SIGNIFICANCE:
+            return ""
         return (
-            f"{self.joint}: an error of {np.degrees(self.error):.2g} deg rms would explain "
-            f"{self.explained:.0%} of the heights left{mark}"
+            f"{self.joint}: an error that varies with its angle would explain {self.explained:.0%} "
+            "of the heights left; check its encoder and its link's length"
         )
 
 

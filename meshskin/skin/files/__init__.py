@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from ...core.arguments import check_path
 from ...core.atomic_io import atomic
 from ...core.errors import SkinError
 from . import (
@@ -41,11 +42,12 @@ FORMATS: dict[str, ModuleType] = {
 """Modules of the formats that are written, by suffix or name."""
 
 
-def read(path: Path, part: str | None = None) -> SkinTable:
+def read(path: str | Path, part: str | None = None) -> SkinTable:
     """The rows of a skin file of any format; `part` chooses one of the skins of a URDF.
 
     Raises SkinError where it cannot be read.
     """
+    path = check_path("a skin file", path, error=SkinError)
     if not path.is_file():
         raise SkinError("no such skin file", value=str(path))
     try:

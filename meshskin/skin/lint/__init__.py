@@ -33,7 +33,7 @@ def lint(skin: Skin | str | Path, part: str | None = None) -> tuple[Defect, ...]
     if isinstance(skin, Skin):
         table = SkinTable("skin", skin.ids, skin.positions, np.nan_to_num(skin.normals))
     else:
-        table = files.read(Path(skin), part)
+        table = files.read(skin, part)
     return check(table)
 
 

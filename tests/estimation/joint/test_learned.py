@@ -302,6 +302,13 @@ def test_compression_is_told_from_the_profile_where_forces_vary():
     assert 0.75 < np.divide(*errors(learned)[::-1]) < 1.35
 
 
+def test_the_noise_on_a_smooth_body_is_no_error_over_edges():
+    """A sphere departs from its quadrics, by nearly as much in all contacts."""
+    found = calibrate(recording(*world(hertz, noise=0.02)), belief(contact="learned"))
+    assert found.response.edge_error == 1.0
+    assert found.response.noise == pytest.approx(0.02 * PEAK, rel=0.1)
+
+
 def counts(seed=0, scatter=0.3e-3):
     """8-bit counts of unequal taxels that saturate, forces only nominal, contacts that scatter."""
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshskin.core.errors import CalibrationError, ConfigError, RecordingError, UnknownNameError
+from meshskin.core.errors import CalibrationError, ConfigError, RecordingError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.kinematics.calibrate_log import calibrate_log
 from meshskin.estimation.kinematics.clock import first_offset
@@ -242,7 +242,7 @@ def test_pressures_and_forces_under_the_contact_model(small):
 def test_bad_logs_are_refused_in_one_line(small):
     model, log = small.kinematics(**KNOWN), small.log
     renamed = replace(log, joint_names=("elbow", *log.joint_names[1:]))
-    with pytest.raises(UnknownNameError, match="unknown joint 'joint1' of the log"):
+    with pytest.raises(RecordingError, match=r"lacks angles of .*, got joint1, limit: .*elbow"):
         calibrate_log(renamed, model, belief(small))
     silent = replace(log, readings=np.full_like(log.readings, np.nan))
     with pytest.raises(RecordingError, match="no contact that a taxel reads"):

@@ -35,6 +35,7 @@ def test_an_eccentric_encoder_is_named(setting):
     assert best.explained > 0.98
     assert best.error == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.05)
     assert best.chance < SIGNIFICANCE
+    assert best.words.startswith(f"{best.joint}: an error that varies with its angle")
     assert "check its encoder" in best.words
 
 
@@ -43,4 +44,4 @@ def test_noise_names_no_joint(setting):
     r = 1e-4 * np.random.default_rng(0).standard_normal(len(time))
     for found in joint_residuals(kinematics, path, time, body, r, np.zeros(6)):
         assert found.chance > SIGNIFICANCE
-        assert "check" not in found.words
+        assert found.words == ""

@@ -210,7 +210,7 @@ class ScannedBag:
                     if last is None:
                         yield path, one
             except Torn as end:
-                self.notes.append(f"{path.name} is torn {end}: what is before is read")
+                self.notes.append(f"{path.name} is torn {end}: messages before the tear are read")
             else:
                 if last is not None:
                     yield path, last

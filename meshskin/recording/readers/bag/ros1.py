@@ -68,7 +68,7 @@ def records(path: Path) -> Iterator[Connection | Record | Torn]:
                 else:
                     stream.seek(length, 1)
             except DAMAGED as error:
-                raise Torn(f"in its record at byte {start} of {size}") from error
+                raise Torn(f"in the record from byte {start} to the end at {size}") from error
 
 
 def _chunk(content: bytes) -> Iterator[Connection | Record]:
