@@ -80,7 +80,7 @@ def test_control_c_ends_as_elsewhere(log, viewer, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["live", "x", "--speed", "0"], "--speed"),
+        (["live", "x", "--port", "0", "--speed", "0"], "--speed"),
         (["live", "x", "--port", "70000"], "cannot be served"),
         (["live", "no_such_log", "--port", "0", "--scene", "sphere"], "no recording"),
         (["run", "sphere", "--out", "o", "--live", "--seconds", "9"], "--live together"),

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from itertools import groupby
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -168,7 +167,7 @@ def test_a_contact_that_cannot_be_held_costs_itself_alone(
     assert np.linalg.norm(found[-1].outputs[-1, :3] - path.points[1799]) < 1e-3
 
 
-def test_a_loop_that_diverges_nearly_everywhere_is_no_success(prepared, track):
+def test_a_loop_that_diverges_nearly_everywhere_is_no_success(prepared, track, monkeypatch):
     simulator, _ = prepared("quasi_static")
     places = [track[:600], track[600:1200], track[1200:1800]]
     rollout, slides = simulator.rollout.run, 0
@@ -182,7 +181,7 @@ def test_a_loop_that_diverges_nearly_everywhere_is_no_success(prepared, track):
         return states, outputs
 
     explorer = ExplorationStateMachine(simulator, places, SETTINGS, None)
-    simulator.rollout = SimpleNamespace(run=diverge)
+    monkeypatch.setattr(simulator.rollout, "run", diverge)
     with pytest.raises(SimulationError, match="diverged"):
         list(explorer.run())
 
