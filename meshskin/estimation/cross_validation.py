@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..contact import LEARNED
@@ -22,7 +21,7 @@ from ..core import arrow
 from ..core.arguments import check_integer
 from ..core.arrays import Array, median_spacing
 from ..core.atomic_io import atomic
-from ..core.errors import CalibrationError
+from ..core.errors import CalibrationError, reason
 from ..core.progress import Progress, Stage
 from ..core.value import Value
 from ..recording.recording import Recording
@@ -112,9 +111,9 @@ class CrossValidation(Value):
                 for name in ("points", "localized", "centroids")
             }
             return cls(**place, **column | {"pitch": float(column["pitch"][0])})
-        except (pa.ArrowInvalid, OSError, LookupError, TypeError) as error:
+        except (OSError, LookupError, TypeError, ValueError) as error:
             raise CalibrationError(
-                f"{path} holds no cross-validation", value=str(error).splitlines()[0],
+                f"{path} holds no cross-validation", value=reason(error).splitlines()[0],
                 remedy="calibrate again with --cross-validate",
             ) from error  # fmt: skip
 

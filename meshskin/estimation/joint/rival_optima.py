@@ -158,15 +158,15 @@ def open_sectors(estimator: JointEstimator, points: Array) -> Array:
     frames = estimator.problem.parametrization.rotations()[taxel]
     offset = estimator.problem.contacts.data.points[contact] - points[taxel]
     x, y, _ = np.einsum("kij,ki->jk", frames, offset)
+    normals = estimator.problem.contacts.data.normals[contact]
+    cosine = np.einsum("ki,ki->k", frames[:, :, 2], normals)
+    facing = means_by_group(cosine, taxel, len(points)) >= FACING
     angle = np.arctan2(y, x)
     order = np.lexsort((angle, taxel))
     taxel, angle = taxel[order], angle[order]
     found = np.full(len(points), 2 * np.pi)
     if not len(taxel):
         return found
-    normals = estimator.problem.contacts.data.normals[contact]
-    cosine = np.einsum("ki,ki->k", frames[:, :, 2], normals)
-    facing = means_by_group(cosine, taxel, len(points)) >= FACING
     met, begin = np.unique(taxel, return_index=True)
     last = np.append(begin[1:], len(taxel)) - 1
     gap = np.diff(angle, append=0.0)
