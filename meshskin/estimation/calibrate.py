@@ -23,9 +23,10 @@ from .calibration import Calibration
 from .data.gather import gather, gather_or_learn
 from .data.measurements import Measurements
 from .data.patch_shape import MAX_EDGES
-from .joint import learned, maximum_likelihood
+from .joint import maximum_likelihood
 from .joint.departures import MIN_SCORE
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
+from .learned import estimate as learned
 from .result import EstimatorResult
 from .trilateration import coactivation, eq15, trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration

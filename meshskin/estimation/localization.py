@@ -20,12 +20,12 @@ from .data.pairs import near_pairs
 from .data.resolve_belief import contact_model
 from .joint.contact_state import Contacts
 from .joint.contacts import LinearizedContacts
-from .joint.deviations import Deviations
 from .joint.known_past import KnownPast
-from .joint.learned import as_learned
 from .joint.likelihood import Likelihood
 from .joint.pressure import CENSORED, OBSERVED, SATURATED, costs
 from .joint.readings import Readings
+from .learned.deviations import Deviations
+from .learned.estimate import as_learned
 
 if TYPE_CHECKING:
     from .calibration import Calibration

@@ -87,7 +87,7 @@ class LearnedResponse(Value):
     and the peak (`patch_shape.unevenness`)."""
     alike_contacts: float = 1.0
     """Factor of the variances by errors that neighbouring contacts share; 1 where chance explains
-    them (joint/contact_correlations.py)."""
+    them (learned/contact_correlations.py)."""
     alike_parts: tuple[float, ...] = (0.0, 0.0, 0.0)
     """What displacements of contact points and errors of forces and of readings have in it."""
     coefficients: Array = field(default_factory=lambda: np.empty(0))

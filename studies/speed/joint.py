@@ -113,8 +113,8 @@ def measure(taxels: int, contact: str = "hertz", learned: bool = False) -> dict[
     import resource
 
     from meshskin.estimation.data.gather import gather
-    from meshskin.estimation.joint import learned as learned_estimate
     from meshskin.estimation.joint import maximum_likelihood
+    from meshskin.estimation.learned import estimate as learned_estimate
     from meshskin.estimation.trilateration import trilaterate
 
     estimate = learned_estimate.estimate if learned else maximum_likelihood.estimate

@@ -484,7 +484,7 @@ def test_a_skin_that_yields_holds_the_force_under_its_limit():
 def test_the_optimum_is_reached_along_a_valley_of_compression_and_profile(script):
     from meshskin.core.progress import Stage
     from meshskin.estimation.data.gather import gather
-    from meshskin.estimation.joint.learned import _begin, with_learned_response
+    from meshskin.estimation.learned.estimate import _begin, with_learned_response
     from meshskin.estimation.trilateration import trilaterate
 
     log, believed, _ = script("speed/joint").world(300)

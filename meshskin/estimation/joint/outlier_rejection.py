@@ -16,7 +16,6 @@ from .joint_estimator import JointEstimator
 from .likelihood import Likelihood
 from .parametrization import SurfaceParametrization
 from .pressure import CENSORED, OBSERVED
-from .random_effects import RandomEffects
 
 MAX_REMAINING = 0.5
 """Fraction of the misfitting taxels that may still misfit with gains and offsets, for these to be
@@ -87,20 +86,22 @@ def without_misfitting_contacts(estimator: JointEstimator, scale: float) -> Meas
     return data.without_contacts(bad)
 
 
-def displaced_contacts(effects: RandomEffects) -> np.ndarray:
+def displaced_contacts(displacements: Array, touched: np.ndarray, radii: Array) -> np.ndarray:
     """Rows of the contacts whose points are displaced far more than most; none where they are too
     many to be exceptions.
+
+    displacements: (c, 2) m in the tangent planes, of contacts with `radii` (c,) m. Only those that
+    are `touched` (c,) bool count.
 
     A tracker that loses its target, or a second contact, puts single points anywhere. One variance
     of all displacements would take the weight of the others.
     """
-    data, touched = effects.data, effects.probes.touched
-    size = np.linalg.norm(effects.unknowns.errors[:, :2], axis=1)
+    size = np.linalg.norm(displacements, axis=1)
     if not touched.any():
         return np.empty(0, dtype=int)
     limit = max(
         faults.CUTOFF * float(np.median(size[touched])) / RAYLEIGH,
-        LEAST_DISPLACED * float(np.median(data.radii)),
+        LEAST_DISPLACED * float(np.median(radii)),
     )
     bad = np.flatnonzero(touched & (size > limit))
     return bad if len(bad) <= MAX_DISPLACED * touched.sum() else bad[:0]

@@ -19,7 +19,7 @@ from ..calibration import Calibration
 from ..data.gather import gather, gather_or_learn
 from ..data.measurements import Measurements
 from ..data.raw_readings import quantum
-from ..joint.learned_result import FALLING
+from ..learned.result import FALLING
 from ..localization import CalibratedSkin
 from .skin_map import SkinMap
 from .touches import Touches

@@ -18,8 +18,8 @@ from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_parameters
 from ..data.patch_shape import MAX_EDGES
 from ..data.unit_checks import angles
-from ..joint.contact_correlations import MAX_CORRELATION
 from ..joint.departures import MIN_SCORE
+from ..learned.contact_correlations import MAX_CORRELATION
 from . import second_places, swapped_axes, verdict, weighted_means
 from .contact_errors import SURFACE_DEPTHS, displacement, motion, nearer_points
 from .goodness_of_fit import STRONG

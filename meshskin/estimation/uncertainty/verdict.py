@@ -15,7 +15,7 @@ from ...recording.recording import UNCOMPARED
 from ...scene.belief import RAW
 from ..data import delay
 from ..data.sensor_range import unanswered_contacts
-from ..joint.contact_correlations import KINDS
+from ..learned.contact_correlations import KINDS
 from ..result import LearnedResponse, ids_in_words
 
 if TYPE_CHECKING:

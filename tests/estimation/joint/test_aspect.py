@@ -11,7 +11,7 @@ import pytest
 import meshskin as ms
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint.contacts import LinearizedContacts
-from meshskin.estimation.joint.learned import with_learned_response
+from meshskin.estimation.learned.estimate import with_learned_response
 from meshskin.recording.recording import CONTACTS, READINGS, Recording
 
 RADIUS, INDENTER, DISC, STIFFNESS, FORCE = 0.03, 0.01, 2e-3, 6e7, 3.0

@@ -9,7 +9,7 @@ from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.joint.contact_fields import LEAST_SCORE, contact_fields
 from meshskin.estimation.joint.departures import MIN_SCORE, FittedReadings
 
-from .test_learned import RADIUS, belief, errors, recording, world
+from ..learned.test_estimate import RADIUS, belief, errors, recording, world
 
 SPACING, WIDTH, NOISE = 5e-3, 4e-3, 0.01
 """Of the taxels, m, of the bell that they read, m, and of the noise, relative to its peak."""

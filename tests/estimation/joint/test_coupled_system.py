@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.joint.coupled_system import CoupledSystem, CouplingPattern
-from meshskin.estimation.joint.lagged_system import LaggedSystem
 from meshskin.estimation.joint.readings import Readings
+from meshskin.estimation.learned.lagged_system import LaggedSystem
 
 TAXELS, CONTACTS, SIZE, SHARED = 7, 9, 4, 5
 

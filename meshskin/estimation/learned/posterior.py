@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.arrays import Array
-from .coupled_system import CoupledSystem
+from ..joint.coupled_system import CoupledSystem
+from ..joint.reading_sums import CONTACT_SIZE, Parts
+from ..joint.readings import Readings
 from .deviations import Effects
-from .reading_sums import CONTACT_SIZE, Parts
-from .readings import Readings
 
 MIN_PROBES, MAX_PROBES, PROBED = 2, 6, 6000
 """Hutchinson's probes: with n taxels the sums are known to about 1 / sqrt(probes n), and n times

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from tests.estimation.joint.test_learned import RADIUS, belief, errors, hertz, recording, world
 
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.joint import contact_correlations
-from tests.estimation.joint.test_learned import RADIUS, belief, errors, hertz, recording, world
+from meshskin.estimation.learned import contact_correlations
 
 
 def displaced(seed, alike):

@@ -33,25 +33,25 @@ from ..data.global_parameters import (
 )  # fmt: skip
 from ..data.measurements import Measurements
 from ..data.patch_shape import over_edges
+from ..joint import fault_detection
+from ..joint.contacts import LinearizedContacts
+from ..joint.joint_estimator import JointEstimator
+from ..joint.jump import largest_jump
+from ..joint.likelihood import Likelihood
+from ..joint.outlier_rejection import displaced_contacts, reject_outliers
+from ..joint.parametrization import SurfaceParametrization, Unknowns
+from ..joint.pressure import CENSORED, OBSERVED
+from ..joint.readings import Readings, select
+from ..joint.rival_optima import resolve_rivals
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import EstimatorResult, LearnedResponse
 from ..trilateration import coactivation, trilaterate
-from . import fault_detection
-from .contacts import LinearizedContacts
 from .departure_search import plausible, with_departures
 from .deviations import UNMEASURED_FORCE, Deviations
-from .joint_estimator import JointEstimator
-from .jump import largest_jump
-from .learned_modules import moved_to_modules
-from .learned_result import learned_result
-from .likelihood import Likelihood
-from .outlier_rejection import displaced_contacts, reject_outliers
-from .parametrization import SurfaceParametrization, Unknowns
-from .pressure import CENSORED, OBSERVED
+from .modules import moved_to_modules
 from .random_effects import RandomEffects
-from .readings import Readings, select
 from .response_groups import response_groups
-from .rival_optima import resolve_rivals
+from .result import learned_result
 
 MIN_EXTENT = 1.2
 """Least extent of the learned profile, in reaches of the believed patch."""
@@ -127,7 +127,9 @@ def _attempt(
         effects = _restarted(effects, frozen)
         effects.converge()
         frozen = _frozen(effects, live, weight)
-    if len(bad := displaced_contacts(effects)) and not len(recorded.misfitting):
+    displacements, touched = effects.unknowns.errors[:, :2], effects.probes.touched
+    bad = displaced_contacts(displacements, touched, effects.data.radii)
+    if len(bad) and not len(recorded.misfitting):
         return recorded.without_contacts(bad), excluded
     for repeated in range(MAX_ROUNDS):
         estimator = reject_outliers(_frozen(effects, live, weight) if repeated else frozen)

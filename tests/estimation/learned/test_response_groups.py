@@ -12,10 +12,10 @@ from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.data.global_parameters import declared_parameters
 from meshskin.estimation.joint.departures import MIN_SCORE
-from meshskin.estimation.joint.response_groups import response_groups
+from meshskin.estimation.learned.response_groups import response_groups
 from meshskin.estimation.localization import CalibratedSkin
 
-from .test_learned import PEAK, TAXELS, belief, errors, hertz, recording, world
+from .test_estimate import PEAK, TAXELS, belief, errors, hertz, recording, world
 
 UPPER = np.arange(TAXELS) >= TAXELS // 2
 """Taxels of the second skin."""

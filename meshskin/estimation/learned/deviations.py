@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...core.arrays import Array
-from .fault_detection import MIN_SCALE
+from ..joint.fault_detection import MIN_SCALE
 
 MAX_FACTOR = 50.0
 """Largest factor of a variance between two steps: few steps lead to the floor, and none goes so far

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from meshskin.estimation.joint.learned_result import _few_readings
 from meshskin.estimation.joint.pressure import CENSORED, OBSERVED
+from meshskin.estimation.learned.result import _few_readings
 
 
 def test_few_readings_of_a_taxel_widen_its_variance():

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...core.arrays import Array
-from .departures import FittedReadings, normal_score
+from ..joint.departures import FittedReadings, normal_score
 
 TESTED = ("compression", "modulus")
 """Parameters whose scores are compared: compression of strong readings, and size of the patch."""

@@ -24,21 +24,21 @@ from ...core.arrays import Array
 from ...core.progress import Stage
 from ..data.global_parameters import ELECTRONICS
 from ..data.measurements import Measurements
-from . import fault_detection
-from .contacts import LinearizedContacts
-from .coupled_system import CoupledSystem, CouplingPattern
-from .departures import FittedReadings
+from ..joint import fault_detection
+from ..joint.contacts import LinearizedContacts
+from ..joint.coupled_system import CoupledSystem, CouplingPattern
+from ..joint.departures import FittedReadings
+from ..joint.electronics import Electronics
+from ..joint.likelihood import BLOCK, Likelihood
+from ..joint.noise import certain_silences, clear_of_limits
+from ..joint.parametrization import Unknowns
+from ..joint.pressure import OBSERVED, robust_costs
+from ..joint.reading_sums import CONTACT_SIZE
+from ..joint.readings import Readings
+from ..joint.variable_projection import LOOSE_SIGMA
 from .deviations import Deviations
-from .electronics import Electronics
 from .lagged_system import LaggedSystem
-from .likelihood import BLOCK, Likelihood
-from .noise import certain_silences, clear_of_limits
-from .parametrization import Unknowns
 from .posterior import Posterior, Probes
-from .pressure import OBSERVED, robust_costs
-from .reading_sums import CONTACT_SIZE
-from .readings import Readings
-from .variable_projection import LOOSE_SIGMA
 
 MAX_ITERATIONS, USUAL_ITERATIONS = 60, 30
 """Largest number of Gauss-Newton steps; 10 to 25 are usual, and after 30 variances near zero that

@@ -12,6 +12,15 @@ import numpy as np
 from ...core.arrays import Array, spread_rows
 from ..chart import tangential_square
 from ..data.global_parameters import DEPARTURES, MOTION
+from ..joint import fault_detection
+from ..joint.contact_fields import contact_fields
+from ..joint.joint_estimator import JointEstimator
+from ..joint.leaks import leak_covariances
+from ..joint.noise import neighbours
+from ..joint.null_space import undetermined_motion
+from ..joint.pressure import CENSORED, OBSERVED
+from ..joint.residual_correlations import larger, shared_errors
+from ..joint.rival_optima import RivalOptima
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
     ALIKE_CONTACTS,
@@ -23,19 +32,10 @@ from ..result import (
     name_rivals,
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
-from . import fault_detection
 from .contact_correlations import alike_errors, fewer_contacts, force_scatter
-from .contact_fields import contact_fields
 from .estimated_response import learned_response
 from .further_creep import WORDS, further_creep
-from .joint_estimator import JointEstimator
-from .leaks import leak_covariances
-from .noise import neighbours
-from .null_space import undetermined_motion
-from .pressure import CENSORED, OBSERVED
 from .random_effects import RandomEffects
-from .residual_correlations import larger, shared_errors
-from .rival_optima import RivalOptima
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
 FALLING = "the recorded readings fall with pressure: they were turned"

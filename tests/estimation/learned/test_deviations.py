@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshskin.estimation.joint.deviations import Deviations, Effects, log_step
+from meshskin.estimation.learned.deviations import Deviations, Effects, log_step
 
 GROUPS, EACH = 4000, 4
 

@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 
 from ..data.global_parameters import WARMING
 from ..data.measurements import Measurements
+from ..joint.readings import Readings
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from .random_effects import RandomEffects
-from .readings import Readings
 
 PARTS, SIZE = 4, 150
 """Regions of the skin, and taxels of each: neighbours, so that they share contacts, whose errors

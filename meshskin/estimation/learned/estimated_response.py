@@ -9,11 +9,11 @@ import numpy as np
 
 from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
+from ..joint.creep import TIME
+from ..joint.electronics import WIDTH
+from ..joint.pressure import disc_means
 from ..result import LearnedResponse
 from .contact_correlations import AlikeErrors, force_scatter, neighbour_correlation
-from .creep import TIME
-from .electronics import WIDTH
-from .pressure import disc_means
 from .random_effects import RandomEffects
 
 SAMPLES = 60

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.joint.coupled_system import CoupledSystem, CouplingPattern
-from meshskin.estimation.joint.posterior import Posterior, Probes
 from meshskin.estimation.joint.readings import Readings
+from meshskin.estimation.learned.posterior import Posterior, Probes
 
 TAXELS, CONTACTS, SHARED, PROFILE = 6, 8, 5, slice(2, 5)
 SIZES = (TAXELS * 4, CONTACTS * 3, SHARED)

@@ -13,10 +13,10 @@ from functools import cached_property
 import numpy as np
 
 from ...core.arrays import Array
+from ..joint.coupled_system import CoupledSystem, inner
+from ..joint.reading_sums import CONTACT_SIZE, Parts
 from ..posegraph.cholesky import Cholesky
 from ..posegraph.symmetric_blocks import SymmetricBlocks
-from .coupled_system import CoupledSystem, inner
-from .reading_sums import CONTACT_SIZE, Parts
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ import numpy as np
 
 from ...core.arrays import Array
 from ..data.global_parameters import ELECTRONICS, PRIORS
+from ..joint.departures import FILTER_SHARE, MIN_SCORE
+from ..joint.leaks import Leaks, crosstalk_score, leaking_pairs
+from ..joint.parametrization import Unknowns
+from ..joint.pressure import OBSERVED
 from ..posegraph.symmetric_blocks import SingularMatrixError
-from .departures import FILTER_SHARE, MIN_SCORE
 from .deviations import Deviations
 from .first_response import with_first_response
-from .leaks import Leaks, crosstalk_score, leaking_pairs
-from .parametrization import Unknowns
-from .pressure import OBSERVED
 from .random_effects import RandomEffects
 from .response_groups import response_groups
 

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from meshskin.estimation.joint import further_creep as module
-from meshskin.estimation.joint.further_creep import LEAST_SCORE, NAME, further_creep
+from meshskin.estimation.learned import further_creep as module
+from meshskin.estimation.learned.further_creep import LEAST_SCORE, NAME, further_creep
 
 
 class Fitted:

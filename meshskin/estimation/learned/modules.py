@@ -16,10 +16,15 @@ import numpy as np
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ..data.measurements import Measurements
+from ..joint.coupled_system import CoupledSystem
+from ..joint.module_parametrization import (
+    MODULE_SURFACE,
+    MODULES,
+    ModuleParametrization,
+    align_modules,
+)
 from ..result import EstimatorResult, join_words
 from ..uncertainty import observability
-from .coupled_system import CoupledSystem
-from .module_parametrization import MODULE_SURFACE, MODULES, ModuleParametrization, align_modules
 
 STEP = 1e-3
 """Longest move of a module in one step, m."""

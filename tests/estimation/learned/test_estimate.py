@@ -16,11 +16,11 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.joint import random_effects
 from meshskin.estimation.joint.contacts import LinearizedContacts
-from meshskin.estimation.joint.learned import with_learned_response
 from meshskin.estimation.joint.likelihood import Likelihood
 from meshskin.estimation.joint.readings import select
+from meshskin.estimation.learned import random_effects
+from meshskin.estimation.learned.estimate import with_learned_response
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Cap
 from meshskin.recording.recording import CONTACTS, NOMINAL, READINGS, Recording

@@ -7,13 +7,13 @@ import pytest
 
 from meshskin.core.progress import Stage
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.joint import first_response
-from meshskin.estimation.joint.first_response import _part, with_first_response
-from meshskin.estimation.joint.learned import _begin, with_learned_response
 from meshskin.estimation.joint.pressure import OBSERVED
+from meshskin.estimation.learned import first_response
+from meshskin.estimation.learned.estimate import _begin, with_learned_response
+from meshskin.estimation.learned.first_response import _part, with_first_response
 from meshskin.estimation.trilateration import trilaterate
 
-from .test_learned import TAXELS, TRUTH, belief, bell, recording, world
+from .test_estimate import TAXELS, TRUTH, belief, bell, recording, world
 
 
 @pytest.fixture(scope="module")

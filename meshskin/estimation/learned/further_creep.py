@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.arrays import Array
-from .departures import FittedReadings
-from .electronics import Electronics
+from ..joint.departures import FittedReadings
+from ..joint.electronics import Electronics
 
 LEAST_SCORE = 3.5
 """Score, in standard deviations, from which the displacements count: 2e-3 by chance, of five time

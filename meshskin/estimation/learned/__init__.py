@@ -1,0 +1,1 @@
+"""The learned response: places and response together, contacts and forces with errors."""
