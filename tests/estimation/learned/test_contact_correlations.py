@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from tests.estimation.joint.test_learned import RADIUS, belief, errors, hertz, recording, world
 
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.learned import contact_correlations
+
+from .test_estimate import RADIUS, belief, errors, hertz, recording, world
 
 
 def displaced(seed, alike):
