@@ -187,15 +187,19 @@ def recommendation(found: Sequence[Reach]) -> str:
     best = recommended(found)
     if best.share == 0.0:
         return "none reaches anything"
-    text = f"{1e3 * best.radius:g} mm reaches {best.share:.0%}"
+    share = f"{best.share:.0%}"
+    text = f"{1e3 * best.radius:g} mm reaches {share}"
     others = [one for one in found if one is not best]
     if not others:
         return text
     other = max(others, key=SIZE)
+    setting = f"{1e3 * other.radius:g} mm"
     if other.radius == best.radius:
         text += f" with {best.force:.2g} N{OR_LESS}"
-        return f"{text} instead of {other.share:.0%} with {other.force:.2g} N{OR_LESS}"
-    return f"{text} instead of {other.share:.0%} with {1e3 * other.radius:g} mm"
+        setting = f"{other.force:.2g} N{OR_LESS}"
+    if f"{other.share:.0%}" == share:
+        return f"{text}, as with {setting}"
+    return f"{text} instead of {other.share:.0%} with {setting}"
 
 
 def even_points(body: Body) -> tuple[Array, Array]:

@@ -52,7 +52,7 @@ class ContactFields:
         """Its score, by a name that says how large the displacements are."""
         words = (
             f"contact points that are {1e3 * self.deviation:.2g} mm off, alike within "
-            f"{1e3 * self.length:.2g} mm, as by an error of the kinematic model or of the surface,"
+            f"{1e3 * self.length:.2g} mm as by an error of the kinematic model or of the surface"
         )
         return {words: self.score}
 

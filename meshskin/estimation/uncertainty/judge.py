@@ -53,6 +53,8 @@ MIN_TURN = 0.03
 """Spread of the surface's normals along a direction, rad, from which turns along it count."""
 MAX_FAULTY = 0.2
 """Fraction of faulty taxels from which the log is in doubt, not the taxels."""
+NAMED = 4
+"""Departures that a reason names, the strongest; a strong one raises the scores of similar ones."""
 MIN_DISPLACEMENT = 0.02
 """Scatter of the contact points, in contact radii, from which their correlation is judged."""
 
@@ -125,13 +127,14 @@ def _departures(
     """Departures from the model that the readings show and the estimate does not hold."""
     if calibration.fit is not None and calibration.fit.of_computing(data.pressure):
         return []
-    shown = [
-        f"{name} (score {score:.3g})" for name, score in departures.items() if score > MIN_SCORE
-    ]
+    shown = sorted((-score, name) for name, score in departures.items() if score > MIN_SCORE)
     if not shown:
         return []
+    named = [f"{name} (score {-score:.3g})" for score, name in shown[:NAMED]]
+    if len(shown) > NAMED:
+        named.append(f"{len(shown) - NAMED} weaker ones")
     words = (
-        f"the readings show {', '.join(shown)} that the estimate does not model (scores in "
+        f"the readings show {', '.join(named)} that the estimate does not model (scores in "
         f"standard deviations, limit {MIN_SCORE:g})"
     )
     if calibration.fit is not None and calibration.fit.good is not False:
