@@ -34,7 +34,7 @@ from ..result import (
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .contact_correlations import alike_errors, fewer_contacts, force_scatter
 from .estimated_response import learned_response
-from .further_creep import WORDS, further_creep
+from .lags import WORDS, Lags, lags
 from .random_effects import RandomEffects
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
@@ -61,8 +61,10 @@ def learned_result(
     fit = _fit(effects)
     response = learned_response(effects, shared, alike_errors(effects, covariance[:, :2, :2]))
     scale = max(_misfit(fit), fewer_contacts(response.contact_correlation), response.alike_contacts)
-    tangential, factors, departures = _tangential(effects, covariance, fit, scale)
-    points, rotations = u.parametrization.points(), u.parametrization.rotations()
+    lagging = lags(effects.fitted())
+    tangential, factors, departures = _tangential(effects, covariance, fit, scale, lagging)
+    placed = u.parametrization.relinearized(data.body, -lagging.displacements)
+    points, rotations = placed.points(), placed.rotations()
     apart = np.nan_to_num(rivals.points - points)
     tangential += tangential_square(rotations[:, :, :2], apart)
     lost, reasons = estimator.broken, reasons.copy()
@@ -122,7 +124,7 @@ def _misfit(fit: GoodnessOfFit) -> float:
 
 
 def _tangential(
-    effects: RandomEffects, covariance: Array, fit: GoodnessOfFit, scale: float
+    effects: RandomEffects, covariance: Array, fit: GoodnessOfFit, scale: float, lagging: Lags
 ) -> tuple[Array, list[str], dict[str, float]]:
     """Tangential covariances (n, 2, 2), m^2, with errors that readings and contacts share, what
     these are in words, and their scores.
@@ -141,11 +143,9 @@ def _tangential(
         factors.append(ALIKE_CONTACTS)
     tangential *= _few_readings(effects)[:, None, None]
     tangential += _leaks(effects)
-    departures = {**errors.beyond(added, own), **fields.departure}
-    if (creep := further_creep(fitted)) is not None:
-        tangential += creep.covariances
-        factors += [WORDS] if creep.covariances.any() else []
-        departures |= creep.departure
+    tangential += lagging.covariances
+    factors += [WORDS] if lagging.covariances.any() else []
+    departures = {**errors.beyond(added, own), **fields.departure, **lagging.departure}
     return tangential, factors, departures
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow as pa
 import pytest
+import trimesh
 
 import meshskin as ms
 from meshskin.cli.calibrate import assess, summary
@@ -15,6 +16,7 @@ from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.uncertainty import verdict
 from meshskin.estimation.uncertainty.weighted_means import surrounded
+from meshskin.geometry.region import Cap
 from meshskin.recording.recording import UNCOMPARED, Recording
 
 CONTACTS = 500
@@ -313,8 +315,20 @@ def test_a_profile_that_rises_beyond_its_band_is_a_doubt(bump, sigma, threshold,
     assert all("to 4 mm" in words for _, words in found)
 
 
-def test_errors_of_computing_are_no_doubt():
+def bumpy_handle():
+    """A capsule of long triangles with a bump: its curvature changes from face to face."""
+    mesh = trimesh.creation.capsule(height=0.1, radius=0.03, count=[24, 24])
+    places = mesh.vertices - mesh.vertices.mean(axis=0)
+    height = 4e-3 * np.exp(-((places - [0.03, 0.0, 0.05]) ** 2).sum(axis=1) / (2 * 8e-3**2))
+    places[:, 0] += height
+    body = ms.Body.from_mesh(trimesh.Trimesh(places, mesh.faces))
+    skin = ms.Skin.cover(body, spacing=5e-3, count=60, region=Cap(direction=(1.0, 0.0, 0.2)))
+    return ms.Scene(body=body, skin=skin, indenter=ms.Indenter.sphere(0.01))
+
+
+@pytest.mark.parametrize("scene", [lambda: ms.Scene.load("sphere"), bumpy_handle])
+def test_errors_of_computing_are_no_doubt(scene):
     """Without noise what is left is of the integration, which contacts near one another share."""
-    scene = ms.Scene.load("sphere")
+    scene = scene()
     found = ms.calibrate(ms.simulate(scene), scene.belief())
     assert found.verdict.level == "PASS", found.verdict.reasons
