@@ -11,7 +11,7 @@ from ... import contact
 from ...core.arrays import Array
 from ...core.errors import CalibrationError, ContactError
 from ...scene.belief import RAW
-from . import unit_checks
+from . import corrupt_readings, unit_checks
 from .delay import without_delay
 from .global_parameters import declared_parameters
 from .measurements import Measurements
@@ -200,7 +200,14 @@ class _Selection:
         """
         self.read &= self.pressure > belief.threshold
         at = self.recording.points[self.contacts]
-        self.corrupt[self.read] = unit_checks.stuck_readings(self.pressures, self.taxels, at, reach)
+        stuck = corrupt_readings.stuck_readings(self.pressures, self.taxels, at, reach)
+        self.corrupt[self.read] = stuck
+        self.read &= ~self.corrupt
+        row, points = np.cumsum(self.used) - 1, self.recording.points[self.used]
+        spikes = corrupt_readings.spikes(
+            self.pressures, self.taxels, row[self.contacts], points, belief.threshold, reach
+        )
+        self.corrupt[self.read] = spikes
         self.read &= ~self.corrupt
         _require_readings(self.read, self.recording, self.used)
 
@@ -215,7 +222,7 @@ def _pressed(
         pressure, belief, unit, falling = nominal_pressure(
             recording, belief, index, hit.curvature, used
         )
-    corrupt = unit_checks.corrupt_readings(pressure, index)
+    corrupt = corrupt_readings.corrupt_readings(pressure, index)
     read = used[recording.reading_contact] & (pressure > 0) & ~corrupt
     _require_readings(read, recording, used)
     selected = _Selection(recording, index, pressure, used, read, corrupt, unit, falling)

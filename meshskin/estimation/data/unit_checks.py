@@ -1,6 +1,4 @@
-"""Checks of values that no plausible scene explains: wrong units are refused with the likely cause,
-single corrupt readings left out.
-"""
+"""Checks of values that no plausible scene explains: wrong units are refused with the cause."""
 
 from __future__ import annotations
 
@@ -8,11 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ...core.arrays import Array, means_by_group
+from ...core.arrays import Array
 from ...core.errors import CalibrationError, RecordingError
 from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
 from ...recording.recording import Recording
+from .corrupt_readings import MIN_READINGS, too_many_corrupt
 
 MAX_DISTANCE = 0.02
 """Largest median distance of the contact points from the believed surface, m: far above any
@@ -35,8 +34,6 @@ MAX_SINGLE = 0.1
 MAX_PRESSURE_RATIO = 30.0
 """Largest ratio of the strongest readings to the believed peak pressure, either way. The peak grows
 as E*^(2/3), so that E* may be wrong by a factor of 160; kPa for Pa is a factor of 1000."""
-MIN_READINGS = 3
-"""Readings of a taxel of which the strongest counts: with fewer, all may be at the patch's rim."""
 MAX_FORCE_RATIO = 100.0
 """Largest ratio of the median force to the reference force, either way: the smallest mix-up of
 units is a factor of 1000."""
@@ -49,18 +46,6 @@ MATCH = 20.0
 REMEDY = "check the units of pressure, force and modulus"
 RAW_REMEDY = ', or give readings="raw" (--raw) if they are counts or volts'
 """What else helps where readings are no pressures."""
-CORRUPT_RATIO = 10.0
-"""Pressure, relative to the typical strongest reading of a taxel, above which a reading is corrupt.
-Peaks grow as F^(1/3), and gains differ by a factor of 2.5 at three standard deviations of their
-prior: less than 10 together even at ten times the force."""
-MAX_CORRUPT = 0.01
-"""Fraction of corrupt readings up to which they are left out: more are no accident of single
-numbers, but a wrong unit or a broken sensor, which the test of fit shows."""
-MIN_STUCK = 10
-"""Equal readings in a row from which a taxel may be stuck."""
-STUCK_SPREAD = 1.5
-"""Spread of their contacts, relative to that of the contacts which a taxel senses, from which it
-is: equal readings of a sound taxel lie within the latter."""
 
 
 def check_points(body: Body, points: Array, distance: Array) -> None:
@@ -166,61 +151,6 @@ def _likely_unit(ratio: float, units: Mapping[str, float], expected: str) -> str
     near = min(units, key=lambda name: abs(np.log(ratio / units[name])))
     match = 1 / MATCH < ratio / units[near] < MATCH
     return f"they look like {near} taken for {expected}; " if match else ""
-
-
-def corrupt_readings(pressure: Array, taxel: np.ndarray) -> np.ndarray:
-    """Readings (k,) bool of taxels (k,) that no contact explains: not finite, or CORRUPT_RATIO
-    times what taxels read at most. None where they are more than MAX_CORRUPT.
-
-    A taxel's largest reading may be the corrupt one: its second largest counts.
-    """
-    lost = ~np.isfinite(pressure)
-    level = np.where(lost, 0.0, pressure)
-    order = np.lexsort((-level, taxel))
-    first = np.flatnonzero(np.diff(taxel[order], prepend=-1))
-    count = np.diff(np.append(first, len(order)))
-    many = count >= MIN_READINGS
-    if not many.any():
-        return lost
-    first, count = first[many], count[many]
-    typical = float(np.median(level[order[first + 1]]))
-    bound = np.full(int(taxel.max()) + 1, typical)
-    own = taxel[order[first]]
-    bound[own] = np.maximum(typical, level[order[first + count // 2]])
-    wild = level > CORRUPT_RATIO * bound[taxel]
-    return lost if typical <= 0 or too_many_corrupt(wild) else lost | wild
-
-
-def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array, reach: float) -> np.ndarray:
-    """Readings (k,) bool, in time order, of stretches in which a taxel (k,) repeats one value in
-    contacts at `points` (k, 3), m, further apart than taxels sense: their rms distance from their
-    middle is STUCK_SPREAD times that of the typical taxel's contacts, and `reach`, m, the distance
-    to which a taxel responds by the belief, as few contacts of a taxel lie closer together.
-
-    Readings at rest, which sound taxels repeat, must be left out before. None of taxels whose
-    readings are all equal.
-    """
-    order = np.argsort(taxel, kind="stable")
-    owner, value, at = taxel[order], pressure[order], points[order]
-    begins = np.diff(owner, prepend=-1) != 0
-    run = np.cumsum(begins | (np.diff(value, prepend=np.nan) != 0)) - 1
-    typical = float(np.median(_spreads(at, np.cumsum(begins) - 1)[0])) if len(owner) else 0.0
-    spread, count = _spreads(at, run)
-    stuck = (count >= MIN_STUCK) & (spread > STUCK_SPREAD * max(typical, reach))
-    found = np.zeros(len(taxel), dtype=bool)
-    found[order] = stuck[run] & (count[run] < np.bincount(owner)[owner])
-    return found
-
-
-def _spreads(points: Array, group: np.ndarray) -> tuple[Array, np.ndarray]:
-    """Rms distance of the points (k, 3) of each group (k,) from their mean, and their number."""
-    off = points - means_by_group(points, group)[group]
-    return np.sqrt(means_by_group(np.sum(off**2, axis=1), group)), np.bincount(group)
-
-
-def too_many_corrupt(corrupt: np.ndarray) -> bool:
-    """Whether more than MAX_CORRUPT of the readings (k,) are corrupt; a single one never is."""
-    return bool(np.sum(corrupt) > max(1.0, MAX_CORRUPT * len(corrupt)))
 
 
 def check_finite(recording: Recording) -> None:

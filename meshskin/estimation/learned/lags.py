@@ -30,7 +30,9 @@ likelihood between them is flat."""
 LEAST_SCORE = 4.0
 """Score, in standard deviations, from which taxels move: 3e-5 by chance."""
 NAME = "lags of the readings beyond those that are estimated"
-WORDS = "lags of the readings with several time constants or widths, by what they displace the taxels"
+WORDS = (
+    "lags of the readings with several time constants or widths, by what they displace the taxels"
+)
 
 
 @dataclass(frozen=True)

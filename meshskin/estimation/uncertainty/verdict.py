@@ -268,7 +268,7 @@ def pressures(recording: Recording, data: Measurements) -> list[Finding]:
     if corrupt > MAX_NEGATIVE * count:
         words = (
             f"{corrupt} of {count} readings are corrupt (limit {MAX_NEGATIVE:.1%}); they were left "
-            "out: check the sensor's connection"
+            "out: check the sensor's connection, and whether anything else touches the skin"
         )
         found.append((DOUBT, words))
     if len(data.pressure) >= MIN_CONTACTS and np.ptp(data.pressure) <= 1e-9 * data.pressure[0]:

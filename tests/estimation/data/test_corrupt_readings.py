@@ -7,8 +7,8 @@ import pyarrow as pa
 import pytest
 
 from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.data.corrupt_readings import spikes, stuck_readings
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.data.unit_checks import stuck_readings
 from meshskin.recording.recording import READINGS, Recording
 
 
@@ -112,3 +112,69 @@ def test_two_touches_that_saturate_a_taxel_are_not_stuck(world):
     assert not stuck_readings(pressure, taxel, points, reach).any()
     points[-15:] = world.truth[np.argmax(np.linalg.norm(world.truth - world.truth[0], axis=1))]
     assert np.flatnonzero(stuck_readings(pressure, taxel, points, reach)).size == 12 + 15
+
+
+def with_readings(recording, contact, taxel, pressure):
+    """The recording with further readings (k,) of the taxels (k,)."""
+    contact = np.concatenate([recording.reading_contact, contact])
+    taxel = np.concatenate([recording.reading_taxel, taxel]).astype(np.int32)
+    pressure = np.concatenate([recording.pressure, pressure])
+    order = np.argsort(contact, kind="stable")
+    columns = [recording.time[contact], taxel, pressure]
+    table = pa.table([c[order] for c in columns], schema=READINGS)
+    return replace(recording, readings=table)
+
+
+def test_spikes_cost_themselves(world, recording):
+    """Interference: 1 of 200 readings is of a taxel that nothing touches."""
+    rng, belief = np.random.default_rng(2), world.belief(None, 0.05)
+    distance = np.linalg.norm(recording.points[:, None] - world.truth, axis=2)
+    contact, taxel = np.nonzero(distance > 3.5 * (world.a[0] + 2e-3))
+    few = rng.permutation(len(contact))[: len(recording.pressure) // 200]
+    level = world.peak_reference * rng.uniform(0.3, 1.0, len(few))
+    log = with_readings(recording, contact[few], world.ids[taxel[few]], level)
+    left_out = {(int(c), int(i)) for c, i in gather(log, belief).corrupt}
+    assert left_out == set(zip(contact[few].tolist(), taxel[few].tolist(), strict=True))
+    sound, found = calibrate(recording, belief), calibrate(log, belief)
+    moved = np.linalg.norm(found.positions - sound.positions, axis=1)
+    assert np.all(moved < 0.2 * sound.position_sigma)
+    assert found.verdict.level == "DOUBT"
+    assert f"{len(few)} of {len(log.pressure)} readings are corrupt" in str(found.verdict)
+
+
+def patches(points, places, reach=6e-3):
+    """Readings of taxels at `places` in contacts at `points`: contact, taxel, pressure."""
+    distance = np.linalg.norm(points[:, None] - places, axis=2)
+    contact, taxel = np.nonzero(distance < reach)
+    return contact, taxel, 1.0 - (distance[contact, taxel] / reach) ** 2
+
+
+@pytest.mark.parametrize("follows", [False, True])
+def test_what_follows_a_press_is_no_spike(follows):
+    """Creep in taps of a random order: a taxel still reads when another place is tapped."""
+    rng = np.random.default_rng(1)
+    points = 2e-3 * np.stack(np.meshgrid(range(30), range(30), [0]), axis=-1).reshape(-1, 3)
+    points = rng.permutation(points)
+    contact, taxel, pressure = patches(points, np.array([[0.01, 0.01, 0], [0.05, 0.05, 0]]))
+    strong = contact[(taxel == 0) & (pressure > 0.8) & (contact < len(points) - 3)][0]
+    far = np.linalg.norm(points - [0.01, 0.01, 0], axis=1) > 0.02
+    after = strong + 1 if follows else np.flatnonzero(far & ~np.isin(np.arange(900), contact))[100]
+    points[strong + 1] = [0.045, 0.03, 0] if follows else points[strong + 1]
+    contact, taxel = np.append(contact, after), np.append(taxel, 0)
+    found = spikes(np.append(pressure, 0.6), taxel, contact, points, 0.02, 6e-3)
+    assert found.sum() == found[-1] == (not follows)
+
+
+def test_a_second_place_is_no_spike():
+    """Taxels 0 and 1 are short-circuited: each reads at two places, for many contacts."""
+    points = 2e-3 * np.stack(np.meshgrid(range(30), range(30), [0]), axis=-1).reshape(-1, 3)
+    contact, _, pressure = patches(points, np.array([[0.01, 0.01, 0], [0.05, 0.05, 0]]))
+    found = spikes(pressure, np.zeros(len(contact), int), contact, points, 0.02, 6e-3)
+    assert not found.any()
+
+
+def test_sparse_contacts_confirm_nothing():
+    points = 8e-3 * np.stack(np.meshgrid(range(20), range(20), [0]), axis=-1).reshape(-1, 3)
+    contact, taxel, pressure = patches(points, points[[45, 46]] + 1e-3)
+    contact, taxel = np.append(contact, 350), np.append(taxel, 0)
+    assert not spikes(np.append(pressure, 1.0), taxel, contact, points, 0.02, 6e-3).any()

@@ -1,0 +1,145 @@
+"""Single readings that no contact explains, which are left out: numbers out of all range, values
+that a taxel repeats, spikes of a taxel that nothing touches.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.arrays import Array, means_by_group
+
+MIN_READINGS = 3
+"""Readings of a taxel of which the strongest counts: with fewer, all may be at the patch's rim."""
+CORRUPT_RATIO = 10.0
+"""Pressure, relative to the typical strongest reading of a taxel, above which a reading is corrupt.
+Peaks grow as F^(1/3), and gains differ by a factor of 2.5 at three standard deviations of their
+prior: less than 10 together even at ten times the force."""
+MAX_CORRUPT = 0.01
+"""Fraction of corrupt readings up to which they are left out: more are no accident of single
+numbers, but a wrong unit or a broken sensor, which the test of fit shows."""
+MIN_STUCK = 10
+"""Equal readings in a row from which a taxel may be stuck."""
+STUCK_SPREAD = 1.5
+"""Spread of their contacts, relative to that of the contacts which a taxel senses, from which it
+is: equal readings of a sound taxel lie within the latter."""
+SPIKE_RATIO = 3.0
+"""Reading, relative to those of its taxel in neighbouring contacts, from which these do not confirm
+it: over half of its reach a patch falls to .7 of its peak, by Hertz."""
+NEIGHBOURS, STEPS = 6, (-2, -1, 1, 2)
+"""Contacts that are nearest to that of a reading, and in time: what creep and hysteresis leave
+follows a stronger reading."""
+LEAST_NEIGHBOURS = 4
+"""Neighbours within half of a taxel's reach, at least: where contacts are sparser no other one
+tells of a reading."""
+FAR = 2.0
+"""Distance of a contact from those of the taxel, in reaches, from which its reading may be a spike:
+tails of a response are no further; at the border of what was touched contacts lack neighbours."""
+
+
+def corrupt_readings(pressure: Array, taxel: np.ndarray) -> np.ndarray:
+    """Readings (k,) bool of taxels (k,) that no contact explains: not finite, or CORRUPT_RATIO
+    times what taxels read at most. None where they are more than MAX_CORRUPT.
+
+    A taxel's largest reading may be the corrupt one: its second largest counts.
+    """
+    lost = ~np.isfinite(pressure)
+    level = np.where(lost, 0.0, pressure)
+    order = np.lexsort((-level, taxel))
+    first = np.flatnonzero(np.diff(taxel[order], prepend=-1))
+    count = np.diff(np.append(first, len(order)))
+    many = count >= MIN_READINGS
+    if not many.any():
+        return lost
+    first, count = first[many], count[many]
+    typical = float(np.median(level[order[first + 1]]))
+    bound = np.full(int(taxel.max()) + 1, typical)
+    own = taxel[order[first]]
+    bound[own] = np.maximum(typical, level[order[first + count // 2]])
+    wild = level > CORRUPT_RATIO * bound[taxel]
+    return lost if typical <= 0 or too_many_corrupt(wild) else lost | wild
+
+
+def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array, reach: float) -> np.ndarray:
+    """Readings (k,) bool, in time order, of stretches in which a taxel (k,) repeats one value in
+    contacts at `points` (k, 3), m, further apart than taxels sense: their rms distance from their
+    middle is STUCK_SPREAD times that of the typical taxel's contacts, and `reach`, m, the distance
+    to which a taxel responds by the belief, as few contacts of a taxel lie closer together.
+
+    Readings at rest, which sound taxels repeat, must be left out before. None of taxels whose
+    readings are all equal.
+    """
+    order = np.argsort(taxel, kind="stable")
+    owner, value, at = taxel[order], pressure[order], points[order]
+    begins = np.diff(owner, prepend=-1) != 0
+    run = np.cumsum(begins | (np.diff(value, prepend=np.nan) != 0)) - 1
+    typical = float(np.median(_spreads(at, np.cumsum(begins) - 1)[0])) if len(owner) else 0.0
+    spread, count = _spreads(at, run)
+    stuck = (count >= MIN_STUCK) & (spread > STUCK_SPREAD * max(typical, reach))
+    found = np.zeros(len(taxel), dtype=bool)
+    found[order] = stuck[run] & (count[run] < np.bincount(owner)[owner])
+    return found
+
+
+def _spreads(points: Array, group: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Rms distance of the points (k, 3) of each group (k,) from their mean, and their number."""
+    off = points - means_by_group(points, group)[group]
+    return np.sqrt(means_by_group(np.sum(off**2, axis=1), group)), np.bincount(group)
+
+
+def too_many_corrupt(corrupt: np.ndarray) -> bool:
+    """Whether more than MAX_CORRUPT of the readings (k,) are corrupt; a single one never is."""
+    return bool(np.sum(corrupt) > max(1.0, MAX_CORRUPT * len(corrupt)))
+
+
+def spikes(
+    pressure: Array,
+    taxel: np.ndarray,
+    contact: np.ndarray,
+    points: Array,
+    threshold: float,
+    reach: float,
+) -> np.ndarray:
+    """Readings (k,) bool of taxels (k,) far from the contacts that press them, which no contact
+    that is a neighbour in place or time confirms: an interference, or something else that touches
+    for a moment.
+
+    contact (k,): rows of `points` (m, 3), m, of the contacts in time order, without those that
+    have no force. threshold: below which a silent taxel reads. reach: distance, m, to which a taxel
+    responds by the belief.
+    """
+    from scipy.spatial import cKDTree
+
+    found = np.zeros(len(taxel), dtype=bool)
+    centre = _weighted_medians(points[contact], taxel, pressure)
+    far = np.flatnonzero(np.linalg.norm(points[contact] - centre[taxel], axis=1) > FAR * reach)
+    if not len(far) or len(points) <= NEIGHBOURS:
+        return found
+    distance, near = cKDTree(points).query(points[contact[far]], NEIGHBOURS + 1)
+    near[distance > reach / 2] = contact[far, None].repeat(NEIGHBOURS + 1, 1)[distance > reach / 2]
+    enough = np.sum(near != contact[far, None], axis=1) >= LEAST_NEIGHBOURS
+    in_time = np.clip(contact[far, None] + np.array(STEPS), 0, len(points) - 1)
+    others = np.column_stack([near, in_time])
+    key = contact * (int(taxel.max()) + 1) + taxel
+    order = np.argsort(key)
+    wanted = others * (int(taxel.max()) + 1) + taxel[far, None]
+    at = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
+    level = np.where(key[order][at] == wanted, pressure[order][at], 0.0)
+    level[others == contact[far, None]] = 0.0
+    limit = SPIKE_RATIO * np.maximum(level.max(axis=1), threshold)
+    found[far] = enough & (pressure[far] > limit)
+    return found
+
+
+def _weighted_medians(values: Array, group: np.ndarray, weight: Array) -> Array:
+    """Medians (g, d) of the values (k, d) of each group (k,), by coordinate, with weights (k,)."""
+    count = int(group.max()) + 1
+    total = np.bincount(group, weight, count)
+    medians = np.full((count, values.shape[1]), np.nan)
+    for column, value in enumerate(values.T):
+        order = np.lexsort((value, group))
+        owner, passed = group[order], np.cumsum(weight[order])
+        before = np.append(0.0, np.cumsum(total))[owner]
+        half = passed - before >= total[owner] / 2
+        first = np.flatnonzero(half & np.diff(owner * 2 + half, prepend=-1).astype(bool))
+        medians[owner[first], column] = value[order][first]
+    return medians
