@@ -25,6 +25,7 @@ from .data.measurements import Measurements
 from .data.patch_shape import MAX_EDGES
 from .joint import maximum_likelihood
 from .joint.departures import MIN_SCORE
+from .joint.optimum import Optimum
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .learned import estimate as learned
 from .result import EstimatorResult
@@ -33,7 +34,7 @@ from .trilateration.displacements import Displacements, SharedContacts, Trilater
 from .uncalibrated import uncalibrated
 from .uncertainty import observability
 from .uncertainty.contact_errors import systematic_covariance
-from .uncertainty.judge import judge
+from .uncertainty.judge import fails_by_itself, judge
 
 UNTOUCHED = "never touched"
 CONSTANT = "its reading never changes"
@@ -172,19 +173,22 @@ class Estimation:
         """Maximum likelihood over all readings; arguments as `calibrate`.
 
         The response is learned where the belief asks for it, or leaves the contact model open and
-        no model holds, the readings contradict it, or lead to no estimate.
+        no model holds, the readings contradict it, or lead to no estimate; but for a log that
+        fails by itself, which no response mends.
         """
         if self.data.learned:
             return learned.estimate(self.data, stage)
         try:
-            result = maximum_likelihood.estimate(
+            found = maximum_likelihood.optimum(
                 self.data, self._initial, iterations, tolerance, self.least_squares, stage
             )
         except CalibrationError:
-            if (found := self._learned(stage)) is None:
+            if (other := self._learned(stage)) is None:
                 raise
-            return found
-        return (self._learned(stage) or result) if self._contradicted(result) else result
+            return other
+        if self._contradicted(found) and not fails_by_itself(self.recording, self.data):
+            return self._learned(stage) or found.result()
+        return found.result()
 
     @property
     def _initial(self) -> EstimatorResult | None:
@@ -201,16 +205,14 @@ class Estimation:
             reasons=np.where(known, "", found.reasons),
         )
 
-    def _contradicted(self, found: EstimatorResult) -> bool:
+    def _contradicted(self, found: Optimum) -> bool:
         """Whether the readings contradict the contact model, or cannot, over edges of the body."""
         if self.data.edges > MAX_EDGES * len(self.data.points):
             return True
-        if found.fit is not None and found.fit.of_computing(self.data.pressure):
+        if found.fit.of_computing(self.data.pressure):
             return False
-        misfits = found.fit is not None and found.fit.good is False
-        misfits |= (
-            maximum_likelihood.UNDECLARED_GAINS in found.factors
-        )  # scatter of few contacts may hide more
+        # scatter of few contacts may hide more than gains that only the readings ask for
+        misfits = found.fit.good is False or found.undeclared_gains
         return misfits or max(found.departures.values(), default=0.0) > MIN_SCORE
 
     def _learned(self, stage: Stage) -> EstimatorResult | None:

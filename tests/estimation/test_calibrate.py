@@ -185,13 +185,13 @@ def test_a_limit_of_iterations_must_be_a_positive_integer(noisy):
 
 
 def test_a_limit_of_iterations_reaches_the_optimizer(noisy, monkeypatch):
-    seen, estimate = [], maximum_likelihood.estimate
+    seen, optimum = [], maximum_likelihood.optimum
 
     def observed(data, start, iterations, *others):
         seen.append(iterations)
-        return estimate(data, start, iterations, *others)
+        return optimum(data, start, iterations, *others)
 
-    monkeypatch.setattr(maximum_likelihood, "estimate", observed)
+    monkeypatch.setattr(maximum_likelihood, "optimum", observed)
     calibrate(*noisy, iterations=7)
     assert seen == [7]
 
@@ -254,7 +254,6 @@ def test_gains_that_only_the_readings_ask_for_contradict_the_contact_model(undec
     """Where contacts are sparse, their scatter hides what else the model lacks: on an egg with 15
     readings of a taxel and gains 20 % apart its errors were 2.5 times the learned response's."""
     fit = SimpleNamespace(good=True, of_computing=lambda pressure: False)
-    words = (maximum_likelihood.UNDECLARED_GAINS,) if undeclared else ("readings",)
-    found = SimpleNamespace(fit=fit, factors=words, departures={})
+    found = SimpleNamespace(fit=fit, undeclared_gains=undeclared, departures={})
     data = SimpleNamespace(edges=0, points=np.zeros((9, 3)), pressure=np.ones(9))
     assert Estimation._contradicted(SimpleNamespace(data=data), found) is undeclared

@@ -77,26 +77,38 @@ class RivalOptima:
 
 
 def resolve_rivals(estimator: JointEstimator) -> RivalOptima:
-    """Move taxels to rival optima that fit better; returns the rivals that remain."""
+    """Move taxels to rival optima that fit better; returns the rivals that remain.
+
+    Where the global parameters stay, taxels are independent: the rivals of those that stay, too,
+    are known.
+    """
+    found = find_rivals(estimator)
     for _ in range(MAX_MOVES):
-        rivals = find_rivals(estimator)
-        better = rivals.log_odds < 0.0
+        better = found.log_odds < 0.0
         if not better.any():
-            return rivals
+            break
         points = estimator.problem.points(estimator.state)
-        estimator.start_at(np.where(better[:, None], rivals.points, points), select_anew=True)
+        estimator.start_at(np.where(better[:, None], found.points, points), select_anew=True)
         estimator.converge()
-    return find_rivals(estimator)
+        among = better if estimator.frozen else np.ones_like(better)
+        anew = find_rivals(estimator, among)
+        found = RivalOptima(
+            np.where(among[:, None], anew.points, found.points),
+            np.where(among, anew.log_odds, found.log_odds),
+        )
+    return found
 
 
-def find_rivals(estimator: JointEstimator) -> RivalOptima:
-    """The rival optima of a converged estimate."""
+def find_rivals(estimator: JointEstimator, among: np.ndarray | None = None) -> RivalOptima:
+    """The rival optima of a converged estimate, of the taxels `among` (n,) bool, by default of
+    all."""
     n = len(estimator.live)
     best = RivalOptima(np.full((n, 3), np.nan), np.full(n, np.inf))
     if not isinstance(estimator.problem.parametrization, SurfaceParametrization):
         return best
     points = estimator.problem.points(estimator.state)
-    rows = np.flatnonzero(open_sectors(estimator, points) > OPEN_SECTOR)
+    wide = open_sectors(estimator, points) > OPEN_SECTOR
+    rows = np.flatnonzero(wide if among is None else wide & among)
     if not len(rows):
         return best
     observed = estimator.likelihood.readings.kind == OBSERVED

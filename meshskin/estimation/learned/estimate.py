@@ -46,7 +46,7 @@ from ..joint.rival_optima import resolve_rivals
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import EstimatorResult, LearnedResponse
 from ..trilateration import coactivation, trilaterate
-from .departure_search import plausible, with_departures
+from .departure_search import first_estimate, plausible, with_departures
 from .deviations import UNMEASURED_FORCE, Deviations
 from .modules import moved_to_modules
 from .random_effects import RandomEffects
@@ -120,16 +120,17 @@ def _attempt(
     live, reasons = coactivation.live_taxels(data, start, stuck.rows)
     stage.expect(USUAL_STEPS)
     effects = _begin(with_learned_response(data, start.points), live, start, stage)
-    weight = np.ones(len(data.pressure))
-    effects, departures = with_departures(effects, excluded)
+    weight, begin = np.ones(len(data.pressure)), (effects.unknowns, effects.deviations)
+    effects = first_estimate(effects)
+    if len(bad := _displaced(effects, recorded)):  # others would stand in for departures
+        return recorded.without_contacts(bad), excluded
+    effects, departures = with_departures(effects, begin, excluded)
     frozen = _frozen(effects, live, weight)
     if _lacks(effects, frozen):
         effects = _restarted(effects, frozen)
         effects.converge()
         frozen = _frozen(effects, live, weight)
-    displacements, touched = effects.unknowns.errors[:, :2], effects.probes.touched
-    bad = displaced_contacts(displacements, touched, effects.data.radii)
-    if len(bad) and not len(recorded.misfitting):
+    if len(bad := _displaced(effects, recorded)):
         return recorded.without_contacts(bad), excluded
     for repeated in range(MAX_ROUNDS):
         estimator = reject_outliers(_frozen(effects, live, weight) if repeated else frozen)
@@ -157,6 +158,14 @@ def _attempt(
         **jump.departure,
     }
     return replace(found, departures=departures, jump=jump.shown)
+
+
+def _displaced(effects: RandomEffects, recorded: Measurements) -> np.ndarray:
+    """Rows of the contacts that are displaced far more than most; none where some of the
+    `recorded` ones were left out before."""
+    displacements, touched = effects.unknowns.errors[:, :2], effects.probes.touched
+    bad = displaced_contacts(displacements, touched, effects.data.radii)
+    return bad[:0] if len(recorded.misfitting) else bad
 
 
 def with_learned_response(data: Measurements, points: Array) -> Measurements:

@@ -40,9 +40,9 @@ from .deviations import Deviations
 from .lagged_system import LaggedSystem
 from .posterior import Posterior, Probes
 
-MAX_ITERATIONS, USUAL_ITERATIONS = 60, 30
+MAX_ITERATIONS, USUAL_ITERATIONS, MAX_IMPLAUSIBLE = 60, 30, 10
 """Largest number of Gauss-Newton steps; 10 to 25 are usual, and after 30 variances near zero that
-grow and vanish in turn come to rest."""
+grow and vanish in turn come to rest; after ten in a row out of a prior's reach none came back."""
 SETTLED = 0.01
 """Expected decrease of the cost per reading from which on variances move: before, residuals and
 effects are not those of the optimum."""
@@ -62,11 +62,9 @@ ones exceed it."""
 PROPORTIONAL = 5.0
 """Expected increase of the restricted likelihood by a variance below which the noise may grow with
 the reading: before, what the effects do not explain yet would pass for it."""
-MOVE_TOLERANCE = 0.05
-"""RMS move of the taxels, in standard deviations, at which steps end."""
-TOLERANCE = 0.2
-"""Expected increase of the logarithm of the restricted likelihood at which a variance has
-converged."""
+MOVE_TOLERANCE, TOLERANCE = 0.05, 0.2
+"""RMS move of the taxels, in standard deviations, and expected increase of the logarithm of the
+restricted likelihood by a variance, at which steps end."""
 NOISE_TOLERANCE = 0.03
 """Change of the logarithm of the noise at which it has converged."""
 
@@ -285,9 +283,10 @@ class RandomEffects:
         nuisance = before.nuisance + taxels[:, 2:]
         self.move(Unknowns(moved, nuisance, before.errors + errors, before.s + s))
 
-    def converge(self) -> bool:
-        """Move unknowns and variances until they no longer change; False at the limit of steps."""
-        settled = SETTLED * int((self.readings.kind == OBSERVED).sum())
+    def converge(self, plausible: Callable[[], bool] = lambda: True) -> bool:
+        """Move unknowns and variances until they no longer change; False at the limit of steps, or
+        of those in a row that end where it is not `plausible`."""
+        settled, outside = SETTLED * int((self.readings.kind == OBSERVED).sum()), 0
         for iteration in range(MAX_ITERATIONS):
             self.stage.step()
             (move, posterior), gain = self.step(settled), np.inf
@@ -302,8 +301,10 @@ class RandomEffects:
                 settled = np.inf  # from here on a decrease follows from the change of variances
                 self._leave_out_certain_silences()
             self.iterates.append(self.unknowns.parametrization.points())
-            if move < MOVE_TOLERANCE and gain < TOLERANCE:
-                return True
+            outside = 0 if plausible() else outside + 1
+            at_rest = move < MOVE_TOLERANCE and gain < TOLERANCE
+            if at_rest or outside == MAX_IMPLAUSIBLE:
+                return at_rest
         return False
 
     def posterior(self, system: CoupledSystem) -> Posterior:

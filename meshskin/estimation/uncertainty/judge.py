@@ -76,10 +76,8 @@ def judge(
         lambda: _modulus(data, calibration),
         lambda: verdict.scale(data, calibration),
         lambda: _priors(data, calibration),
-        lambda: _surface(data, calibration),
+        lambda: _of_log(recording, data, calibration.unknowns),
         lambda: _edges(data),
-        lambda: _normals(recording, data),
-        lambda: swapped_axes.findings(recording, data, nearer_points(data, calibration.unknowns)),
         lambda: weighted_means.findings(data, calibration),
         lambda: second_places.findings(gathered, calibration),
         lambda: verdict.forces(recording, calibration),
@@ -87,7 +85,6 @@ def judge(
         lambda: verdict.alike(calibration),
         lambda: verdict.few_readings(calibration),
         lambda: verdict.profile(data, calibration),
-        lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
         lambda: verdict.clocks(recording, data, calibration),
         lambda: _faults(calibration),
@@ -96,6 +93,27 @@ def judge(
     found = [finding for check in checks for finding in check()]
     found.sort(key=lambda finding: -LEVELS.index(finding[0]))
     return Verdict(found[0][0] if found else PASS, tuple(words for _, words in found))
+
+
+def fails_by_itself(recording: Recording, data: Measurements) -> bool:
+    """Whether the log is a failure by its own columns, whatever is estimated from it."""
+    names = data.parameters.names
+    if data.parameters.move_contacts or "indenter_offset" in names or "body_offset" in names:
+        return False
+    return any(level == FAIL for level, _ in _of_log(recording, data, {}))
+
+
+def _of_log(
+    recording: Recording, data: Measurements, unknowns: Mapping[str, tuple[float, float]]
+) -> list[Finding]:
+    """Findings on the columns of the log that use no estimate but the offsets among `unknowns`."""
+    points = nearer_points(data, unknowns)
+    return [
+        *_surface(data, points),
+        *_normals(recording, data),
+        *swapped_axes.findings(recording, data, points),
+        *verdict.pressures(recording, data),
+    ]
 
 
 def _fit(data: Measurements, calibration: Calibration) -> list[Finding]:
@@ -209,12 +227,9 @@ def _priors(data: Measurements, calibration: Calibration) -> list[Finding]:
     return found
 
 
-def _surface(data: Measurements, calibration: Calibration) -> list[Finding]:
-    """Distances of the recorded contact points from the believed surface.
-
-    They are those that an estimated offset of body or indenter leaves.
-    """
-    hit = data.body.closest(nearer_points(data, calibration.unknowns))
+def _surface(data: Measurements, points: Array) -> list[Finding]:
+    """Distances of contact points (m, 3), m, from the believed surface."""
+    hit = data.body.closest(points)
     distance, median = hit.distance, float(np.median(hit.distance))
     typical, move = float(np.median(np.abs(distance))), displacement(distance, hit.normal)
     best = motion(data, hit.point + distance[:, None] * hit.normal, distance, hit.normal)

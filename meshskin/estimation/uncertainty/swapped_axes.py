@@ -54,15 +54,25 @@ class NearerAxes:
 
 def nearer_axes(data: Measurements, points: Array) -> NearerAxes:
     """The axes with which contact points (m, 3), m, are nearest to the believed surface; their own
-    where they lie on it."""
+    where they lie on it, or where a displacement brings them nearer than other axes do: on a nearly
+    symmetric body, mirrored points are those of a body that has moved."""
     rows = np.linspace(0, len(points) - 1, min(POINTS, len(points))).astype(int)
     points, recorded = points[rows], _mean_square(data, points[rows])
     if len(points) < verdict.MIN_CONTACTS or recorded <= (SMALL * data.indentation) ** 2:
         return NearerAxes(np.eye(3), recorded, recorded)
     axes = signed_permutations()
     squares = np.array([_mean_square(data, points @ turned.T) for turned in axes])
-    best = int(np.argmin(squares))
-    return NearerAxes(axes[best], recorded, float(squares[best]))
+    best, nearest = int(np.argmin(squares)), float(np.min(squares))
+    off = nearest > (SMALL * data.indentation) ** 2
+    if off and BETTER[0] * _mean_square(data, _displaced(data, points)) < nearest:
+        return NearerAxes(np.eye(3), recorded, recorded)
+    return NearerAxes(axes[best], recorded, nearest)
+
+
+def _displaced(data: Measurements, points: Array) -> Array:
+    """Points (k, 3), m, all moved by what brings them nearest to the believed surface."""
+    hit = data.body.closest(points)
+    return points - np.linalg.lstsq(hit.normal, hit.distance, rcond=None)[0]
 
 
 def findings(recording: Recording, data: Measurements, points: Array) -> list[Finding]:

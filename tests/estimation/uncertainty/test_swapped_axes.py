@@ -8,7 +8,8 @@ import pytest
 import trimesh
 
 import meshskin as ms
-from meshskin.estimation.uncertainty.swapped_axes import signed_permutations
+from meshskin.estimation.data.gather import gather
+from meshskin.estimation.uncertainty.swapped_axes import nearer_axes, signed_permutations
 from meshskin.geometry.region import Cap
 
 CONTACTS = 300
@@ -56,19 +57,34 @@ def test_mirrored_contact_points_are_named_without_normals(bumpy, signs, level, 
     assert words in " ".join(found.verdict.reasons)
 
 
-def test_mirrored_taxels_are_within_their_standard_deviations(noisy):
+@pytest.fixture(scope="module")
+def off_plane(noisy):
     """A ball whose middle is 1.5 mm off the plane of the mirror: 3 mm explain the distances."""
     ball = trimesh.creation.icosphere(4, radius=0.05)
     ball.vertices += [0.0, 1.5e-3, 0.0]
     body = ms.Body.from_mesh(ball)
     skin = ms.Skin.cover(body, spacing=6e-3, count=20, seed=1, region=Cap(direction=(0, 1, 0)))
-    scene = noisy.with_(body=body, skin=skin, loop=replace(noisy.loop, mode="quasi_static"))
-    found = ms.calibrate(log(scene, np.array([1.0, -1.0, 1.0])), scene.belief())
-    error = np.linalg.norm(found.positions - skin.positions, axis=1)
+    return noisy.with_(body=body, skin=skin, loop=replace(noisy.loop, mode="quasi_static"))
+
+
+def test_mirrored_taxels_are_within_their_standard_deviations(off_plane):
+    found = ms.calibrate(log(off_plane, np.array([1.0, -1.0, 1.0])), off_plane.belief())
+    error = np.linalg.norm(found.positions - off_plane.skin.positions, axis=1)
     assert found.verdict.level == "FAIL"
     assert np.nanmin(error) > 0.08
     assert np.nanmin(found.position_sigma / error) > 0.5
     assert np.nanmax(found.position_sigma / error) < 2.0
+
+
+@pytest.mark.parametrize(("sign", "level"), [(1.0, "PASS"), (-1.0, "FAIL")])
+def test_points_that_drift_are_not_mirrored_ones(off_plane, sign, level):
+    """Drifting by 1 to 3 mm, they are 2.1 mm off the ball, mirrored 1.2 mm, displaced 0.6 mm."""
+    recording = log(off_plane, np.ones(3))
+    data = gather(recording, off_plane.belief())
+    drift = np.outer(np.linspace(-1e-3, -3e-3, len(data.points)), [0.0, sign > 0, 0.0])
+    found = nearer_axes(data, (data.points + drift) * [1.0, sign, 1.0])
+    assert found.level == level
+    np.testing.assert_array_equal(found.axes, np.diag([1.0, sign, 1.0]))
 
 
 def test_each_order_and_sign_of_the_axes_is_tried_once():
