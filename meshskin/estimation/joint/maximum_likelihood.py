@@ -204,6 +204,7 @@ def _result(
     else:
         own = widened(estimator, covariance[:, :2, :2], scale)
         tangential, factors = _tangential(estimator, own, fit, found, rivals)
+        tangential = tangential + found.rejected(scale**0.5)
     undeclared = parameters.nuisance_names != declared.parameters.nuisance_names
     modulus, modulus_sigma = _modulus(estimator, shared)
     return EstimatorResult(
