@@ -19,6 +19,7 @@ import numpy as np
 from ...core.arrays import Array, sums_by_group
 from .departures import FittedReadings
 from .electronics import FAR, NEXT, near_pairs, nearest
+from .small_effects import LEAST_SCORE, SmallEffects, most_likely
 
 ROUNDS, DAMPING, SETTLED = 300, 0.5, 1e-3
 """Largest number of rounds of the mean field, the part of a change that is made in each, and the
@@ -85,6 +86,25 @@ def crosstalk_score(fitted: FittedReadings, uniform: float) -> float:
     return uniform if leaks is None else max(uniform, (2 * leaks.gain) ** 0.5)
 
 
+def further_shares(fitted: FittedReadings) -> SmallEffects:
+    """What the crosstalk that `fitted` lacks displaces the taxels by: shares of any size and sign
+    of what each taxel near it reads, of some of the taxels."""
+    shares = _Shares.of(fitted, 0.0)
+    if not len(shares.key):
+        return SmallEffects.none(len(fitted.points))
+    slope, common = (
+        np.zeros((*shares.own.shape[:2], *x.shape[1:])) for x in (shares.right, shares.common)
+    )
+    slope[shares.at], common[shares.at] = shares.right, shares.common
+    information = shares.own - common @ np.swapaxes(common, 1, 2)
+    score, mean, covariance = most_likely(slope, information)
+    if score < LEAST_SCORE:
+        return SmallEffects.none(len(fitted.points), score)
+    displacements = np.einsum("nas,ns->na", shares.moved, mean)
+    across = shares.moved @ covariance @ np.swapaxes(shares.moved, 1, 2)
+    return SmallEffects(score, displacements, across)
+
+
 def leak_covariances(fitted: FittedReadings, share: float) -> Array:
     """Covariances (n, 2, 2), m^2, of the places by not knowing which pairs crosstalk."""
     leaks, found = fitted.data.leaks, np.zeros((len(fitted.points), 2, 2))
@@ -117,6 +137,8 @@ class _Shares:
     """C (q, ks): these take C C^T from L."""
     right: Array
     """(q,)."""
+    moved: Array
+    """Displacements (n, 2, S), m, of the taxels by unit shares."""
 
     @classmethod
     def of(cls, fitted: FittedReadings, share: float) -> _Shares:
@@ -141,7 +163,8 @@ class _Shares:
         kind = np.where(apart == 1, NEXT_ID, np.where(apart == -1, LAST_ID, kind))
         by_common = coupling[at] @ _inverse_root(common)
         own = left[:, others, others]
-        found = cls(key, near, kind, at, own, by_common, right[:, others][at])
+        moved = np.asarray(by_own[:, :2, others])
+        found = cls(key, near, kind, at, own, by_common, right[:, others][at], moved)
         leaks = fitted.data.leaks
         has = near.astype(float) if leaks is None else leaks.of(key)
         return replace(found, right=found.right + found.product(share * has))

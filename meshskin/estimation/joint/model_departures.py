@@ -9,6 +9,7 @@ import numpy as np
 from ...core.arrays import Array
 from ..result import ALIKE_CONTACTS, SHARED_ERRORS
 from ..uncertainty.goodness_of_fit import GoodnessOfFit
+from . import rejected_readings
 from .contact_fields import ContactFields, contact_fields
 from .departures import FittedReadings, departure_scores, fitted_readings
 from .joint_estimator import JointEstimator
@@ -46,6 +47,15 @@ class ModelDepartures:
         words = [SHARED_ERRORS.format(self.errors.where)] if by_errors.any() else []
         words += [ALIKE_CONTACTS] if by_fields.any() else []
         return larger(by_errors, by_fields), words
+
+    def rejected(self, noise: float) -> Array:
+        """What readings that were left out add to the tangential covariances (n, 2, 2), m^2; noise:
+        factor of the readings' standard deviations."""
+        if self.fitted is None:
+            return np.zeros((2, 2))
+        spread = noise / np.sqrt(np.maximum(self.fitted.readings.precision, 1e-300))
+        moved = rejected_readings.displacements(self.fitted, spread)
+        return np.asarray(moved[:, :, None] * moved[:, None])
 
     def scores(self, estimator: JointEstimator) -> dict[str, float]:
         """The score of each, by its name."""

@@ -114,6 +114,7 @@ def _result(optimum: Optimum) -> EstimatorResult:
     else:
         own = widened(estimator, covariance[:, :2, :2], scale)
         tangential, factors = _tangential(estimator, own, fit, found, rivals)
+        tangential = tangential + found.rejected(scale**0.5)
     modulus, modulus_sigma = _modulus(estimator, shared)
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, parametrization.points()), np.nan),

@@ -12,15 +12,16 @@ import numpy as np
 from ...core.arrays import Array, spread_rows
 from ..chart import tangential_square
 from ..data.global_parameters import DEPARTURES, MOTION
-from ..joint import fault_detection
+from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
 from ..joint.joint_estimator import JointEstimator
-from ..joint.leaks import leak_covariances
+from ..joint.leaks import further_shares, leak_covariances
 from ..joint.noise import neighbours
 from ..joint.null_space import undetermined_motion
 from ..joint.pressure import CENSORED, OBSERVED
 from ..joint.residual_correlations import larger, shared_errors
 from ..joint.rival_optima import RivalOptima
+from ..joint.small_effects import SmallEffects
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
     ALIKE_CONTACTS,
@@ -34,13 +35,14 @@ from ..result import (
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .contact_correlations import alike_errors, fewer_contacts, force_scatter
 from .estimated_response import learned_response
-from .lags import WORDS, Lags, lags
+from .lags import LAGS, lags
 from .random_effects import RandomEffects
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
 FALLING = "the recorded readings fall with pressure: they were turned"
 NOT_SEPARABLE = 0.9
 """Standard deviation, relative to that of its prior, from which a parameter rests on its prior."""
+SHARES = "crosstalk of single taxels, of both signs"
 FEW = 6.0
 """Factor of 1 / n^2 in the relative increase of the variance of a taxel with n readings."""
 
@@ -61,9 +63,15 @@ def learned_result(
     fit = _fit(effects)
     response = learned_response(effects, shared, alike_errors(effects, covariance[:, :2, :2]))
     scale = max(_misfit(fit), fewer_contacts(response.contact_correlation), response.alike_contacts)
-    lagging = lags(effects.fitted())
-    tangential, factors, departures = _tangential(effects, covariance, fit, scale, lagging)
-    placed = u.parametrization.relinearized(data.body, -lagging.displacements)
+    small = _small_effects(effects, fit)
+    tangential, factors, departures = _tangential(effects, covariance, fit, scale)
+    placed = u.parametrization
+    for name, errors in small.items():
+        departures[name] = errors.score
+        if errors.covariances.any():
+            tangential += errors.covariances
+            factors.append(f"{name}, to first order")
+            placed = placed.relinearized(data.body, -errors.displacements)
     points, rotations = placed.points(), placed.rotations()
     apart = np.nan_to_num(rivals.points - points)
     tangential += tangential_square(rotations[:, :, :2], apart)
@@ -124,7 +132,7 @@ def _misfit(fit: GoodnessOfFit) -> float:
 
 
 def _tangential(
-    effects: RandomEffects, covariance: Array, fit: GoodnessOfFit, scale: float, lagging: Lags
+    effects: RandomEffects, covariance: Array, fit: GoodnessOfFit, scale: float
 ) -> tuple[Array, list[str], dict[str, float]]:
     """Tangential covariances (n, 2, 2), m^2, with errors that readings and contacts share, what
     these are in words, and their scores.
@@ -142,11 +150,18 @@ def _tangential(
         tangential = larger(tangential, own + fields.covariances)
         factors.append(ALIKE_CONTACTS)
     tangential *= _few_readings(effects)[:, None, None]
-    tangential += _leaks(effects)
-    tangential += lagging.covariances
-    factors += [WORDS] if lagging.covariances.any() else []
-    departures = {**errors.beyond(added, own), **fields.departure, **lagging.departure}
-    return tangential, factors, departures
+    rejected = rejected_readings.displacements(fitted, effects.spread)
+    tangential += _leaks(effects) + rejected[:, :, None] * rejected[:, None]
+    return tangential, factors, {**errors.beyond(added, own), **fields.departure}
+
+
+def _small_effects(effects: RandomEffects, fit: GoodnessOfFit) -> dict[str, SmallEffects]:
+    """Small errors of the readings, by their names; none where the readings do not fit, as other
+    errors would pass for these."""
+    made = {LAGS: lags, SHARES: further_shares}
+    if fit.good is False:
+        return {name: SmallEffects.none(len(effects.unknowns.nuisance)) for name in made}
+    return {name: make(effects.fitted()) for name, make in made.items()}
 
 
 def _chi2(effects: RandomEffects) -> Array:

@@ -1,12 +1,22 @@
 """Which taxels crosstalk, by quadratic likelihoods of their shares."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from meshskin.estimation.joint import leaks
-from meshskin.estimation.joint.leaks import DISTANT, LAST_ID, NEIGHBOURS, NEXT_ID, Leaks, _Shares
+from meshskin.estimation.joint.leaks import (
+    DISTANT,
+    LAST_ID,
+    NEIGHBOURS,
+    NEXT_ID,
+    Leaks,
+    _Shares,
+    further_shares,
+    leak_covariances,
+)
 
 SHARE = 0.03
 
@@ -37,7 +47,7 @@ def ring(has, noise=1.0, seed=0):
     common = np.full((len(first), 1), 0.3 * (2e4 / len(first)) ** 0.5)
     made = _Shares(
         first * n + second, np.abs(step) == 1, np.where(np.abs(step) == 1, NEIGHBOURS, DISTANT),
-        at, own, common, np.zeros(len(first)),
+        at, own, common, np.zeros(len(first)), np.ones((n, 2, 6)),
     )  # fmt: skip
     errors = np.einsum("nst,nt->ns", own, rng.normal(size=(n, 6)))[at] / np.sqrt(2e4)
     right = made.product(SHARE * has(first, second)) + noise * errors
@@ -85,3 +95,50 @@ def test_the_same_share_of_all_neighbours_is_uniform():
     np.testing.assert_array_equal(truth, made.near)
     assert made.uniform() > 20
     assert made.mixture(owner).gain < made.uniform() + 3.0
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_single_pairs_of_either_sign_move_the_taxels_that_read(monkeypatch, sign):
+    """Taxels 4 and 20 read of one other each; all others stay."""
+    made, *_ = ring(lambda a, b: 4 * sign * (((a == 4) & (b == 6)) | ((a == 20) & (b == 19))))
+    made = replace(made, moved=1e-2 * np.random.default_rng(1).normal(size=(30, 2, 6)))
+    monkeypatch.setattr(leaks._Shares, "of", lambda fitted, share: made)
+    found = further_shares(SimpleNamespace(points=np.zeros((30, 3))))
+    assert found.score > 6.0
+    truth = np.zeros((30, 2))
+    truth[4], truth[20] = (4 * sign * SHARE * made.moved[k, :, j] for k, j in ((4, 4), (20, 2)))
+    left, size = (np.linalg.norm(x, axis=1) for x in (found.displacements - truth, truth))
+    stated = np.sqrt(np.trace(found.covariances, axis1=1, axis2=2))
+    others = np.setdiff1d(np.arange(30), (4, 20))
+    assert np.linalg.norm(left) < 0.6 * np.linalg.norm(size)
+    assert np.all(left[[4, 20]] < 3 * stated[[4, 20]])
+    assert stated[others].max() < 0.3 * stated[[4, 20]].min()
+
+
+def test_without_crosstalk_no_taxel_moves(monkeypatch):
+    for seed in range(20):
+        made, *_ = ring(lambda a, b: 0.0 * a, seed=seed)
+        monkeypatch.setattr(leaks._Shares, "of", lambda fitted, share, made=made: made)
+        found = further_shares(SimpleNamespace(points=np.zeros((30, 3))))
+        assert not found.displacements.any() and not found.covariances.any()
+
+
+def test_pairs_that_may_crosstalk_or_not_count_in_the_places(monkeypatch):
+    """The variance of a place is the sum of those by each pair, which is there or not."""
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(2, 6, 8))
+    matrix = root @ np.swapaxes(root, 1, 2)  # three unknowns of a taxel, two pairs, a global one
+    key, at = np.array([1, 2, 3]), (np.array([0, 0, 1]), np.array([0, 1, 0]))
+    monkeypatch.setattr(leaks, "_normal_equations", lambda fitted: (key, at, matrix, None))
+    there = Leaks(key, np.array([0.5, 0.9, 0.2]), np.array([0.25, 0.09, 0.16]))
+    fitted = SimpleNamespace(
+        points=np.zeros((2, 3)), own=np.zeros((3, 5)), data=SimpleNamespace(leaks=there)
+    )
+    found = leak_covariances(fitted, SHARE)
+    expected = np.zeros((2, 2, 2))
+    for taxel, pair, variance in zip(*at, there.variance, strict=True):
+        by_pair = np.linalg.solve(matrix[taxel, :3, :3], matrix[taxel, :3, 3 + pair])[:2]
+        expected[taxel] += SHARE**2 * variance * np.outer(by_pair, by_pair)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    fitted.data.leaks = None
+    assert not leak_covariances(fitted, SHARE).any()

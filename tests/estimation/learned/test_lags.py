@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.joint.departures import TIMES, WIDTHS
+from meshskin.estimation.joint.small_effects import LEAST_SCORE, most_likely
 from meshskin.estimation.learned import lags as module
-from meshskin.estimation.learned.lags import LEAST_SCORE, NAME, SHARES, lags
+from meshskin.estimation.learned.lags import MAX_LEVERAGE, contact_leverage, lags
 
 READINGS, FAMILY = 400, len(TIMES) + len(WIDTHS)
 
@@ -23,15 +24,14 @@ class Fitted:
         self.mu, self.offset = np.ones(READINGS), np.zeros(READINGS)
         self.columns = 20.0 * rng.normal(size=(READINGS, FAMILY))
         self.places = 1e5 * (self.columns[:, :4] / 20 + rng.normal(size=(READINGS, 4)))
-        self.shares = share * np.sign(rng.normal(size=FAMILY))
-        self.level = self.columns @ self.shares + rng.normal(size=READINGS)
-        self.explained = self.places @ np.linalg.pinv(self.places)
+        self.level = self.columns @ (share * np.sign(rng.normal(size=FAMILY)))
+        self.level += rng.normal(size=READINGS)
 
     def creeps(self, electronics):
         return self.columns[:, : len(TIMES)]
 
     def shared(self, columns):
-        left = columns - self.explained @ columns
+        left = columns - self.places @ np.linalg.pinv(self.places) @ columns
         return left.T @ self.level, left.T @ left
 
     def displaced(self, columns):
@@ -40,39 +40,25 @@ class Fitted:
 
 @pytest.fixture(autouse=True)
 def plays(monkeypatch):
-    """The other columns are what the play operator adds to the pressures."""
-    fitted = Fitted(0.0)
+    """What the play operators add to the pressures are the columns of `Fitted` but for creep's."""
+    added = Fitted(0.0).columns[:, len(TIMES) :].T
 
     def electronics(*_):
-        columns = iter(fitted.columns[:, len(TIMES) :].T)
+        columns = iter(added)
         return SimpleNamespace(peak=1.0, play=lambda p, half: (p + next(columns), None, None))
 
     monkeypatch.setattr(module, "Electronics", electronics)
+    monkeypatch.setattr(module, "contact_leverage", lambda _: 0.0)
 
 
-def marginal(fitted, share):
-    """Logarithm of the likelihood of the readings with shares of this deviation, of which the
-    places explain a part, up to a constant."""
-    free = np.eye(READINGS) - fitted.explained
-    basis = np.linalg.svd(free)[0][:, : READINGS - 4]
-    seen, level = basis.T @ fitted.columns, basis.T @ fitted.level
-    covariance = np.eye(len(level)) + share**2 * seen @ seen.T
-    return -(np.linalg.slogdet(covariance)[1] + level @ np.linalg.solve(covariance, level)) / 2
-
-
-def test_shares_are_those_of_the_largest_marginal_likelihood():
+def test_displacements_are_those_of_the_most_likely_shares():
     fitted = Fitted(0.02)
-    found = lags(fitted)
-    gains = [marginal(fitted, share) - marginal(fitted, 0.0) for share in SHARES]
-    assert found.score == pytest.approx((2 * max(gains)) ** 0.5, rel=1e-6)
-    assert found.departure == {NAME: found.score}
-    best = SHARES[int(np.argmax(gains))]
-    left = fitted.columns - fitted.explained @ fitted.columns
-    covariance = np.linalg.inv(left.T @ left + np.eye(FAMILY) / best**2)
-    mean = covariance @ left.T @ fitted.level
-    moved = (np.linalg.pinv(fitted.places) @ fitted.columns).reshape(2, 2, -1)
-    np.testing.assert_allclose(found.displacements, moved @ mean, rtol=1e-6)
-    expected = np.einsum("nap,pq,nbq->nab", moved, covariance, moved)
+    found, (slope, information) = lags(fitted), fitted.shared(fitted.columns)
+    score, mean, covariance = most_likely(slope[None], information[None])
+    moved = fitted.displaced(fitted.columns)
+    assert found.score == pytest.approx(score)
+    np.testing.assert_allclose(found.displacements, moved @ mean[0], rtol=1e-6)
+    expected = np.einsum("nap,pq,nbq->nab", moved, covariance[0], moved)
     np.testing.assert_allclose(found.covariances, expected, rtol=1e-6)
 
 
@@ -83,8 +69,30 @@ def test_taxels_return_to_where_they_are():
     assert np.abs(left).max() < 0.3 * np.abs(error).max()
 
 
+def test_the_square_counts_where_contacts_have_large_errors(monkeypatch):
+    """How well these are determined depends on the lags."""
+    fitted = Fitted(0.05)
+    moved, leverage = lags(fitted), [2 * MAX_LEVERAGE]
+    monkeypatch.setattr(module, "contact_leverage", lambda _: leverage[0])
+    found = lags(fitted)
+    assert not found.displacements.any()
+    square = moved.displacements[:, :, None] * moved.displacements[:, None]
+    np.testing.assert_allclose(found.covariances, moved.covariances + square)
+
+
+def test_leverage_of_contacts():
+    """Two readings of unit noise in a contact, which a displacement explains but for its prior."""
+    jacobian = np.zeros((2, 5))
+    jacobian[:, 2] = 3.0, 4.0  # of the contact's first displacement
+    system = SimpleNamespace(contacts=np.diag([25.0 + 5.0, 1.0, 1.0])[None])
+    readings = SimpleNamespace(contact=np.zeros(2, dtype=int))
+    fitted = SimpleNamespace(
+        jacobian=jacobian, system=system, readings=readings, curvature=np.ones(2)
+    )
+    assert contact_leverage(fitted) == pytest.approx(25 / 30 / 2)
+
+
 def test_chance_moves_no_taxel():
     found = [lags(Fitted(0.0, seed)) for seed in range(40)]
     assert not any(one.displacements.any() or one.covariances.any() for one in found)
     assert max(one.score for one in found) < LEAST_SCORE
-    assert min(one.score for one in found) == 0.0  # the likeliest variance is near zero
