@@ -80,20 +80,32 @@ def even(readings: Readings) -> np.ndarray:
     return np.asarray(readings.precision > 0.5)
 
 
+def spread(readings: Readings, scale: float) -> Array:
+    """Standard deviations (k,) of the residuals of all readings where that of the noise is `scale`,
+    in units of the data's: what an edge of the body changes does not depend on the noise."""
+    return np.asarray(np.sqrt(1.0 + readings.precision * (scale**2 - 1.0)))
+
+
+def _telling(readings: Readings) -> np.ndarray:
+    """Readings (k,) bool whose residuals tell of noise and model."""
+    return (readings.kind == OBSERVED) & ~outliers(readings) & even(readings)
+
+
 def mean_log_likelihood(
     readings: Readings, r: Array, scale: float, out: np.ndarray, width: float
 ) -> float:
     """Log-likelihood per reading, mean of the taxels, of a mixture.
 
     The readings `out` (k,) are outlying, uniform over `width`; the residuals r (k,) of the others
-    are normal with standard deviation `scale`, all in units of the noise.
+    are normal with the `spread` of `scale`, all in units of the noise.
     """
     read = readings.kind != CENSORED
     size, out, taxel = r[read], out[read], readings.taxel[read]
+    sigma = spread(readings, scale)[read][~out]
     share = 1.0 / np.bincount(taxel)[taxel]
     share /= share.sum()
     outlying = float(share[out].sum())
-    sound = -0.5 * (size[~out] / scale) ** 2 - np.log(scale * np.sqrt(2 * np.pi))
+    sound = -0.5 * (size[~out] / sigma) ** 2 - np.log(sigma * np.sqrt(2 * np.pi))
     mixture = outlying * np.log(max(outlying, 1e-300) / width)
     mixture += (1 - outlying) * np.log(max(1 - outlying, 1e-300))
     return mixture + float(share[~out] @ sound)
@@ -142,7 +154,7 @@ def residuals(readings: Readings, mu: Array, sigma: float) -> Array:
 
 def reading_scale(readings: Readings, r: Array) -> float:
     """Robust standard deviation of the residuals r (k,), by the median of their sizes."""
-    r = r[(readings.kind == OBSERVED) & ~outliers(readings)]
+    r = r[_telling(readings)]
     return robust_sigma(r) if len(r) else 1.0
 
 
@@ -150,7 +162,7 @@ def taxel_scale(readings: Readings, r: Array) -> float:
     """Robust standard deviation of the residuals r (k,), by a median in which all taxels count
     equally, however many readings they have.
     """
-    counted = (readings.kind == OBSERVED) & ~outliers(readings)
+    counted = _telling(readings)
     if not counted.any():
         return 1.0
     size, taxel = np.abs(r[counted]), readings.taxel[counted]
@@ -163,7 +175,7 @@ def successive_difference_scale(readings: Readings, r: Array) -> float:
     """Robust standard deviation of the noise, by the changes of a taxel's residuals r (k,) from one
     contact to the next: errors of the model change little.
     """
-    used = np.flatnonzero((readings.kind == OBSERVED) & ~outliers(readings))
+    used = np.flatnonzero(_telling(readings))
     used = used[np.lexsort((readings.contact[used], readings.taxel[used]))]
     same = np.diff(readings.taxel[used]) == 0
     change = np.abs(np.diff(r[used]))[same]
@@ -177,7 +189,8 @@ def misfitting_taxels(readings: Readings, r: Array, scale: float) -> np.ndarray:
     n = len(readings.starts) - 1
     counted = ~outliers(readings) & ((readings.kind == OBSERVED) | (r != 0))
     count = np.bincount(readings.taxel, counted, n)
-    total = np.bincount(readings.taxel, np.where(counted, r**2, 0.0), n) / scale**2
+    square = (r / spread(readings, scale)) ** 2
+    total = np.bincount(readings.taxel, np.where(counted, square, 0.0), n)
     chance = chdtrc(np.maximum(count - 2, 1), total)
     return np.flatnonzero((total > MISFIT_RATIO * count) & (chance < SIGNIFICANCE))
 
@@ -188,33 +201,34 @@ def misfitting_contacts(readings: Readings, r: Array, scale: float) -> np.ndarra
 
     counted = ~outliers(readings) & ((readings.kind == OBSERVED) | (r != 0))
     count = np.bincount(readings.contact[counted])
-    total = np.bincount(readings.contact[counted], r[counted] ** 2) / scale**2
+    square = (r / spread(readings, scale)) ** 2
+    total = np.bincount(readings.contact[counted], square[counted])
     pressed = count > 0
     chance = np.where(pressed, chdtrc(np.maximum(count, 1), total), 1.0)
     return np.flatnonzero(chance < CONTACT_SIGNIFICANCE / max(int(pressed.sum()), 1))
 
 
-def robust_weights(r: Array, scale: float, stage: float, cutoff: float) -> Array:
-    """Geman-McClure weights (k,) at a stage m; at m = 0, the probability that a reading is sound,
-    one half where its residual is `cutoff`, in units of `scale`.
+def robust_weights(r: Array, stage: float, cutoff: float) -> Array:
+    """Geman-McClure weights (k,) at a stage m of residuals r (k,), in standard deviations; at
+    m = 0, the probability that a reading is sound, one half where its residual is `cutoff`.
     """
     if not stage:
         from scipy.special import expit
 
-        return np.asarray(expit((cutoff**2 - (r / scale) ** 2) / 2))
-    c2 = stage * (2 / 3 * CUTOFF * scale) ** 2
+        return np.asarray(expit((cutoff**2 - r**2) / 2))
+    c2 = stage * (2 / 3 * CUTOFF) ** 2
     return np.asarray((c2 / (c2 + r**2)) ** 2)
 
 
-def equal_odds_cutoff(r: Array, scale: float) -> float:
-    """Residual, in units of `scale`, at which a reading is as likely sound as outlying.
+def equal_odds_cutoff(r: Array) -> float:
+    """Residual at which a reading is as likely sound as outlying, in standard deviations, as r.
 
     The sound residuals of r (k,) are normal; the outlying ones, a fraction e, are uniform over a
     width w: (1 - e) exp(-c^2 / 2) / sqrt(2 pi) = e / w. Between MIN_CUTOFF and CUTOFF.
     """
-    out = np.abs(r) > CUTOFF * scale
+    out = np.abs(r) > CUTOFF
     share = np.clip(np.mean(out), 1e-6, 0.5) if len(r) else 1e-6
-    low, high = np.quantile(r[out], [0.25, 0.75]) / scale if out.any() else (0.0, 0.0)
+    low, high = np.quantile(r[out], [0.25, 0.75]) if out.any() else (0.0, 0.0)
     ratio = (1 - share) / share * max(2 * (high - low), 2 * CUTOFF) / np.sqrt(2 * np.pi)
     return float(np.clip(np.sqrt(2 * np.log(ratio)), MIN_CUTOFF, CUTOFF))
 

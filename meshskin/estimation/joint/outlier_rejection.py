@@ -50,7 +50,7 @@ def reject_outliers(estimator: JointEstimator) -> JointEstimator:
     known = estimator.data.noise is not None
     if known and typical <= faults.MAX_SCALE:
         typical = 1.0  # most readings fit: the known noise decides what is outlying
-    beyond = np.abs(estimator.residuals()) > faults.CUTOFF * typical
+    beyond = np.abs(_standardized(estimator, typical)) > faults.CUTOFF
     likelihood = _mean_log_likelihood(estimator, typical, beyond)
     for scale in (1.0, typical) if known and typical > 1.0 else (typical,):
         if not len(suspects):
@@ -186,6 +186,11 @@ def _misfits(estimator: JointEstimator) -> tuple[float, np.ndarray]:
     return typical, suspects
 
 
+def _standardized(estimator: JointEstimator, scale: float) -> Array:
+    """Residuals (k,) in their standard deviations with noise of `scale`."""
+    return estimator.residuals() / faults.spread(estimator.likelihood.readings, scale)
+
+
 def _mean_log_likelihood(estimator: JointEstimator, scale: float, out: np.ndarray) -> float:
     """The likelihood with the readings `out` (k,) uniform over the range of the pressures."""
     width = float(estimator.data.pressure.max() / estimator.data.sigma)
@@ -213,8 +218,9 @@ def irls(estimator: JointEstimator, suspects: np.ndarray, scale: float, fixed: b
             suspects = np.union1d(suspects, faults.misfitting_taxels(readings, r, scale))
         suspected = np.isin(readings.taxel, suspects)
         own = (readings.kind == OBSERVED) & suspected
-        cutoff = faults.CUTOFF if stage else faults.equal_odds_cutoff(r[own], scale)
-        weight = faults.robust_weights(r, scale, stage, cutoff)
+        r = _standardized(estimator, scale)
+        cutoff = faults.CUTOFF if stage else faults.equal_odds_cutoff(r[own])
+        weight = faults.robust_weights(r, stage, cutoff)
         estimator.silent_weight[:] = 1.0
         if stage:  # observed readings place a taxel; silent ones are judged by that place
             weight[readings.kind == CENSORED] = estimator.silent_weight[suspects] = 0.0
@@ -238,7 +244,8 @@ def irls(estimator: JointEstimator, suspects: np.ndarray, scale: float, fixed: b
 def _name_faults(estimator: JointEstimator, scale: float) -> None:
     """Name the faults of each taxel; one that is mostly outlying is `broken`.
 
-    A residual below CUTOFF times the noise's `scale` may be chance and alone is no fault.
+    A residual below CUTOFF standard deviations with noise of `scale` may be chance and alone is no
+    fault.
     """
     readings, n = estimator.likelihood.readings, len(estimator.live)
     out, silent = faults.outliers(readings), readings.kind == CENSORED
@@ -246,7 +253,7 @@ def _name_faults(estimator: JointEstimator, scale: float) -> None:
     def count(which: np.ndarray) -> np.ndarray:
         return np.bincount(readings.taxel[which], minlength=n)
 
-    far = out & (np.abs(estimator.residuals()) > faults.CUTOFF * scale)
+    far = out & (np.abs(_standardized(estimator, scale)) > faults.CUTOFF)
     read, outlying, unanswered = count(~silent), count(out & ~silent), count(far & silent)
     faulty = np.flatnonzero(count(far))
     points = estimator.problem.points(estimator.state)

@@ -149,8 +149,9 @@ def advance(estimator: JointEstimator, scale: float) -> np.ndarray:
     suspected = np.isin(readings.taxel, suspects)
     weight = np.ones_like(readings.weight)
     own = suspected & (readings.kind == OBSERVED)
-    cutoff = faults.equal_odds_cutoff(r[own], scale)
-    weight[suspected] = faults.robust_weights(r[suspected], scale, 0.0, cutoff)
+    size = r / faults.spread(readings, scale)
+    cutoff = faults.equal_odds_cutoff(size[own])
+    weight[suspected] = faults.robust_weights(size[suspected], 0.0, cutoff)
     if np.abs(weight - readings.weight).max(initial=0.0) >= faults.WEIGHT_TOLERANCE:
         estimator.reweight(weight)
         unanswered = faults.unanswered_presses(estimator.likelihood.readings)

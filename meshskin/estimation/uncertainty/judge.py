@@ -49,6 +49,10 @@ NORMAL_TURNS = -0.5, 0.0
 """Turn of the recorded normals over that of the surface, along the direction where it is least,
 with the opposite sign, from which it is a doubt, and a failure: 1 in a sound log, -1 along a
 mirrored axis, the cosine of the angle in a frame that is rotated about the normal."""
+STRAYS = 0.05
+"""Part of the contacts, those with the normals farthest from the surface's, that do not tell how
+both turn: on a patch where they turn by 0.1 rad, 9 of 3,184 contacts on the way over an edge, 80
+degrees off, halved the ratio; a mirrored axis shows in all contacts."""
 MIN_TURN = 0.03
 """Spread of the surface's normals along a direction, rad, from which turns along it count."""
 MAX_FAULTY = 0.2
@@ -276,8 +280,9 @@ def _normals(recording: Recording, data: Measurements) -> list[Finding]:
     if computed or len(rows) < verdict.MIN_CONTACTS:
         return []
     hit, normals = data.body.closest(recording.points[rows]), recording.normals[rows]
-    typical = float(np.degrees(np.median(angles(hit, normals))))
-    turn, axis = _least_turn(hit.normal, normals)
+    off = angles(hit, normals)
+    typical, most = float(np.degrees(np.median(off))), float(np.quantile(off, 1 - STRAYS))
+    turn, axis = _least_turn(hit.normal[off <= most], normals[off <= most])
     if (level := level_of(-turn, NORMAL_TURNS)) != PASS:
         words = (
             f"from contact to contact, recorded normals turn {turn:.2g} times as the believed "

@@ -58,6 +58,7 @@ class InsideOutside:
         self.closed = bool(np.all(count % 2 == 0))
         """whether no edge is a border"""
         self._vertices = vertices
+        self._fronts: dict[WindingNumber, NDArray[np.int64]] = {}
 
     def ambiguous(self, face: Index, weight: Array, offset: Array) -> Index:
         """The rows (k,) of nearest points at which the mesh is folded back on itself.
@@ -101,6 +102,11 @@ class InsideOutside:
         inside = self._in_front(closed) > 0
         if float(self._areas @ inside) <= MOST * float(self._areas.sum()):
             return closed
+        return self._bare
+
+    @cached_property
+    def _bare(self) -> WindingNumber:
+        """The winding number without the closures of the borders."""
         return WindingNumber(self._vertices, self.faces, close=False)
 
     @cached_property
@@ -115,8 +121,11 @@ class InsideOutside:
         return STANDOFF * float(np.max(np.ptp(self._vertices, axis=0))) * self.normals
 
     def _in_front(self, winding: WindingNumber) -> NDArray[np.int64]:
-        """Winding numbers (m,) in front of the middles of the faces."""
-        return winding.at(self.corners.mean(axis=1) + winding.outward * self._standoff)
+        """Winding numbers (m,) in front of the middles of the faces, computed once."""
+        if winding not in self._fronts:
+            front = self.corners.mean(axis=1) + winding.outward * self._standoff
+            self._fronts[winding] = winding.at(front)
+        return self._fronts[winding]
 
     def side(self, points: Array) -> Array:
         """+1 or -1 (n,): points (n, 3), m, outside or inside by their winding numbers."""
@@ -156,13 +165,8 @@ class InsideOutside:
             rows = np.flatnonzero(self.mixed[face])
             found[rows] = self._winding.outward * self._in_front_at(face[rows], uv[rows]) > 0
         elif found.any():
-            found[found] = self._bare_level[face[found]] > 0
+            found[found] = self._in_front(self._bare)[face[found]] > 0
         return np.asarray(found)
-
-    @cached_property
-    def _bare_level(self) -> NDArray[np.int64]:
-        """Winding numbers (m,) in front of the faces without the closures of the borders."""
-        return self._in_front(WindingNumber(self._vertices, self.faces, close=False))
 
     @cached_property
     def covers(self) -> bool:
@@ -179,6 +183,7 @@ class InsideOutside:
         found = self._in_front(self._winding)
         if self._winding.closed:
             return found
+        found = found.copy()
         cut = np.zeros(len(self.faces), dtype=bool)
         cut[self.crossed] = True
         across = np.where(cut[:, None] | cut[self.across], -1, self.across)

@@ -21,6 +21,7 @@ from meshskin.estimation.next_contact import next_contacts
 from meshskin.estimation.online.frames import RecordedFrames
 from meshskin.estimation.online.known_response import KnownResponse
 from meshskin.estimation.trilateration.trilaterate import with_noise_off_edges
+from meshskin.geometry.region import Cap
 from meshskin.recording.recording import CONTACTS, READINGS, Recording
 
 FACES, APOTHEM, INDENTER, DISC, STIFFNESS, FORCE, PITCH = 6, 0.04, 6e-3, 2e-3, 3e8, 2.0, 5e-3
@@ -259,3 +260,24 @@ def test_contacts_are_alike_among_all_that_came(belief):
     part = store.part(np.empty(0, dtype=int), last).data
     assert part.alike.tolist() == data.alike[last].tolist()
     assert gather(recording(1, 150), believed).alike.max() < data.alike.max()
+
+
+def test_readings_over_edges_do_not_make_others_outlying():
+    """Ripples are within every patch. This world has no errors there, so that the residuals of the
+    readings over them are small beside the deviation that they are given."""
+    mesh = ms.Body.capsule(0.03, 0.1, faces=6000).mesh.copy()
+    height = 0.3e-3 * np.sin(2 * np.pi * mesh.vertices[:, 2] / 14e-3)
+    mesh.vertices = mesh.vertices + height[:, None] * mesh.vertex_normals
+    body = ms.Body.from_mesh(mesh)
+    base = ms.Scene.load("sphere_noisy")
+    scene = base.with_(
+        body=body,
+        skin=ms.Skin.cover(body, spacing=6e-3, count=30, seed=1, region=Cap((1.0, 0.0, 0.2))),
+        material=ms.Material(young=0.4e6),
+        indenter=ms.Indenter.sphere(8e-3),
+        loop=replace(base.loop, mode="quasi_static"),
+        exploration=replace(base.exploration, pattern="lanes", lane_spacing=2.5e-3),
+    )
+    found = ms.calibrate(ms.simulate(scene, seed=1), scene.belief(noise_sigma=None))
+    assert not any(found.faults)
+    assert found.fit.noise == pytest.approx(scene.belief().noise_sigma, rel=0.15)

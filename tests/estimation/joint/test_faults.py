@@ -222,8 +222,8 @@ def test_the_test_of_fit_is_calibrated(world):
 def test_mean_log_likelihood_of_a_mixture():
     """Against scipy's densities, two taxels of two and of one readings."""
     kind, taxel = np.array([OBSERVED, OBSERVED, OBSERVED, CENSORED]), np.array([0, 0, 1, 1])
-    one = np.zeros(4)
-    readings = Readings(taxel, taxel, one, kind, taxel, one, one, np.array([0, 2, 4]))
+    zero, one = np.zeros(4), np.ones(4)
+    readings = Readings(taxel, taxel, zero, kind, taxel, one, one, np.array([0, 2, 4]))
     r, out = np.array([0.5, 30.0, -2.0, 0.0]), np.array([False, True, False, False])
     wild = 0.25  # half of the first taxel's readings, none of the second's
     sound = np.log((1 - wild) * norm.pdf([0.5, -2.0], scale=2.0))
@@ -289,6 +289,25 @@ def test_a_taxel_misfits_beyond_chance_and_by_more_than_the_model():
 
     rare, common = (chi2.isf(p, count - 2) / count for p in (1e-11, 1e-7))
     assert (misfits(rare), misfits(common)) == (1, 0)
+
+
+def test_the_scale_of_the_noise_is_that_of_readings_off_edges():
+    """Each other reading is over an edge, which changes it by five times the noise."""
+    count, scale, edge = 400, 0.2, 5.0
+    taxel, one, over = np.arange(count) % 2, np.ones(count), np.arange(count) % 4 < 2
+    taxel = np.sort(taxel)
+    precision = np.where(over, 1 / (1 + edge**2), 1.0)
+    kind = np.full(count, OBSERVED)
+    starts = np.array([0, count // 2, count])
+    readings = Readings(taxel, taxel, one, kind, taxel, one, precision, starts)
+    normal = norm.ppf((np.random.default_rng(1).permutation(count) + 0.5) / count)
+    wide = normal * np.where(over, np.sqrt(scale**2 + edge**2), scale) * np.sqrt(precision)
+    silent = np.where(over, 0.0, scale * normal)  # the model happens to hold over the edges
+    for r in (wide, silent):
+        for scale_of in (fault_detection.reading_scale, fault_detection.taxel_scale):
+            assert scale_of(readings, r) == pytest.approx(scale, rel=0.1)
+        assert not len(fault_detection.misfitting_taxels(readings, r, scale))
+    np.testing.assert_allclose(np.std(wide / fault_detection.spread(readings, scale)), 1, rtol=0.1)
 
 
 @pytest.mark.parametrize(("presses", "fault"), [(1, False), (2, False), (4, True)])
