@@ -25,7 +25,6 @@ from .core.deadline import (
     PAGE_SECONDS,
     REPORT_SECONDS,
     Deadline,
-    check_run_seconds,
 )
 from .core.errors import CalibrationError, GraphError, OutOfTime
 from .core.progress import Progress, Stage
@@ -80,11 +79,11 @@ def run(
     name: shipped scene or TOML file; request: an accuracy or a time, for which a pilot run chooses
     the settings (the metrics hold its prediction). A time is a deadline: methods of comparison and
     figures that do not fit are left out and named, and where the chosen run does not fit, the
-    pilot's is the result. budget: taxel error, m, that may be neglected, in place of the scene's
-    own: `ms.budget` then chooses the effects. watch: called once the recording is calibrated; its
-    time counts for no stage. began: wall and processor time, s, of an earlier begin. Raises
-    StudyError for a time that even the pilot run does not fit in, where it can before that run, and
-    other MeshskinErrors that name the value, the limit and the remedy.
+    pilot's is the result, which may take 1.15 of the time. budget: taxel error, m, that may be
+    neglected, in place of the scene's own: `ms.budget` then chooses the effects. watch: called once
+    the recording is calibrated; its time counts for no stage. began: wall and processor time, s, of
+    an earlier begin. Raises StudyError for a time that even the pilot run does not fit in, where it
+    can before that run, and other MeshskinErrors that name the value, the limit and the remedy.
     """
     check_integer("seed", seed, least=0)
     seconds = math.inf if request is None or request.seconds is None else request.seconds
@@ -145,16 +144,15 @@ def _loaded(job: _Job, budget: float | None) -> Scene:
     """
     from .study.sensitivity.first_run import least_seconds
 
-    seconds, deadline = job.deadline.seconds, job.deadline
-    check_run_seconds(seconds, deadline.least(LEAST_SECONDS - IMPORT_SECONDS))
+    job.deadline.check_run(LEAST_SECONDS - IMPORT_SECONDS)
     with job.timer.stage("load"):
         Stage(job.progress, "plan")  # goes on, and ends, in `simulate`
         scene = Scene.load(job.name)
         if budget is not None:
             scene = scene.with_(budget=budget)
         check_folder(job.folder)
-        if math.isfinite(seconds) and scene.indenter.carried_by is None:
-            check_run_seconds(seconds, deadline.least(least_seconds(scene) + PAGE_SECONDS))
+        if math.isfinite(job.deadline.seconds) and scene.indenter.carried_by is None:
+            job.deadline.check_run(least_seconds(scene) + PAGE_SECONDS)
     return scene
 
 

@@ -68,11 +68,11 @@ def command(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
     """Run the scene and print the summary; watch: as of `pipeline.run`."""
-    from ..core.deadline import LEAST_SECONDS, check_run_seconds, command_began, crowding, pace
+    from ..core.deadline import LEAST_SECONDS, STARTED, Deadline, command_began
 
     began = command_began()
-    if options.seconds is not None:  # before the packages, which take half of the least time
-        check_run_seconds(options.seconds, LEAST_SECONDS * pace() * crowding())
+    if options.seconds is not None:  # before the packages, which take a third of the least time
+        Deadline(options.seconds, began).check_run(LEAST_SECONDS - STARTED)
     from ..pipeline import run
     from ..study.sensitivity.request import Request
 

@@ -33,8 +33,6 @@ _MIN_SQUARE = 1e-12
 """Lower bound under square roots, whose derivatives stay finite: 1e-6 contact radii."""
 _MIN_RHO_SQUARE = 1e-10
 """Added to rho^2, so that rho has derivatives at 0; M changes by about 1e-10."""
-MIN_COMPILED = 1000
-"""Distances that are found together from which compiled code pays."""
 MAX_ITERATIONS = 60
 """Iterations of the bracketed root finders: bisection alone reaches 1e-18 of the bracket."""
 
@@ -141,10 +139,9 @@ def _invert(m: Array, s: Array, tolerance: float) -> Array:
     low, high = np.fmax(s - 1.0, 0.0), 1.0 + s
     rho = (low + high) / 2
     for _ in range(MAX_ITERATIONS):
-        if len(rho) < MIN_COMPILED:
-            mean, slope = _mean_and_slope(rho, s)
-        else:
-            mean, slope = _compiled()(len(rho), rho, s)
+        if not len(row):
+            break
+        mean, slope = _compiled()(len(rho), rho, s)
         excess = mean - m
         low, high = np.where(excess >= 0, rho, low), np.where(excess >= 0, high, rho)
         trial = rho - _newton_step(excess, m, slope)
@@ -154,8 +151,6 @@ def _invert(m: Array, s: Array, tolerance: float) -> Array:
         out[row[done]] = new[done]
         row = row[~done]
         m, s, low, high, rho = (v[~done] for v in (m, s, low, high, new))
-        if not len(row):
-            break
     out[row] = rho
     return out
 

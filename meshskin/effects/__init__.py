@@ -4,11 +4,12 @@ Each effect is a frozen dataclass in a module of its own, which is imported when
 named. An effect that is off is absent: the loop has no branch for it and no random number is drawn.
 Each effect draws from its own random stream, derived from the seed and its name, so that switching
 one on or off does not change the noise of another. A new effect is one new module here and one line
-in `registry.NAMES`, or, in another package, one entry point in the group "meshskin.effects":
+in `base.NAMES`, or, in another package, one entry point in the group "meshskin.effects":
 `name = "module:Class"`.
 """
 
 from .base import (
+    NAMES,
     STAGES,
     BaseEffect,
     Context,
@@ -20,7 +21,7 @@ from .base import (
 )
 from .frames import EffectClock, Frames, PressureField
 from .pipeline import EffectPipeline, build, ordered
-from .registry import NAMES, every_name, find, from_table, registered
+from .registry import every_name, find, from_table, registered
 
 __all__ = [
     "NAMES",

@@ -32,6 +32,15 @@ geometry    FrameTransform: changes the recorded contact points
 robot       FrameTransform: changes the recorded pose and force of the robot
 """
 
+NAMES = (
+    "friction", "layer", "elliptic_patch", "disc_averaging", "cover_fabric", "scan_order",
+    "relaxation", "crosstalk", "hysteresis", "capacitive", "gain_offset", "temperature_drift",
+    "gaussian_noise", "sensing_range", "quantisation", "broken_taxels", "mesh_facets", "body_pose",
+    "indenter_offset", "sampling", "encoder", "gravity_error", "joint_friction", "force_sensor",
+)  # fmt: skip
+"""Names of the effects of this package and of their modules, in the order of the signal: effects
+of one stage act in this order, followed by those of other packages."""
+
 PressureTransform = Callable[[Array, Frames], Array]
 """(pressures (m, n), Pa, the next m frames in time) -> pressures (m, n), Pa."""
 FrameTransform = Callable[[Frames], Frames]
@@ -71,12 +80,24 @@ class NoiseEffect(Protocol):
         """Standard deviation, Pa."""
 
 
+def _check_name(kind: type, name: str) -> None:
+    """Raise ConfigError for a class of the program, or of another package, with the name of an
+    effect of this one: a table or a study that names it would build the latter."""
+    if name in NAMES and kind.__module__ != f"{__package__}.{name}":
+        raise ConfigError(
+            f"an effect {name} exists in meshskin",
+            value=f"the class {kind.__qualname__} of {kind.__module__}",
+            remedy="rename the class",
+        )
+
+
 class BaseEffect:
     """Base class of effects: fields are checked on creation, and `Effect`'s facts are keywords.
 
         class GaussianNoise(BaseEffect, stage="transducer", cost=8e-9):
 
-    The name is that of the class as in TOML, gaussian_noise.
+    The name is that of the class as in TOML, gaussian_noise, unless the class has one of its own.
+    Raises ConfigError for a name of this package.
     """
 
     name: ClassVar[str]
@@ -86,10 +107,11 @@ class BaseEffect:
     cost: ClassVar[float]
 
     def __init_subclass__(cls, **facts: Any) -> None:
-        if "stage" in facts:
+        if "name" not in vars(cls):  # a derived effect does not take the name of its base
             facts["name"] = config.table_name(cls)
         for key, value in facts.items():
             setattr(cls, key, value)
+        _check_name(cls, cls.name)
 
     def __post_init__(self) -> None:
         config.check_fields(self)
@@ -118,12 +140,19 @@ def check_effect(effect: Any) -> None:
     stage.
     """
     missing = [n for n in ("name", "stage", "bound", "build") if not hasattr(effect, n)]
+    if missing == ["stage"]:
+        raise ConfigError(
+            f"the effect {effect.name} has no stage",
+            value=repr_short(effect),
+            remedy='name it, such as class Leak(BaseEffect, stage="transducer", cost=1e-8)',
+        )
     if isinstance(effect, type) or missing:
         raise ConfigError(
             "scene.effects and scene.candidates must contain Effect objects",
             value=repr_short(effect),
             remedy="create one, such as meshskin.effects.find(NAME)()",
         )
+    _check_name(type(effect), effect.name)
     if effect.stage not in STAGES:
         raise UnknownNameError("stage", effect.stage, STAGES, f" of the effect {effect.name}")
     for method in ("bound", "build", "sigma"):

@@ -9,9 +9,8 @@ from typing import Any
 
 from ..core.arrays import Array
 from ..core.errors import ConfigError
-from .base import STAGES, Context, Effect, FrameTransform, PressureTransform, check_effect
+from .base import NAMES, STAGES, Context, Effect, FrameTransform, PressureTransform, check_effect
 from .frames import EffectClock, Frames, PressureField
-from .registry import NAMES
 
 
 def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:

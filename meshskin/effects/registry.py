@@ -12,16 +12,7 @@ from typing import Any, cast
 from ..core import config
 from ..core.errors import ConfigError, UnknownNameError
 from ..core.field_docs import document_fields
-from .base import BaseEffect, Effect, check_effect
-
-NAMES = (
-    "friction", "layer", "elliptic_patch", "disc_averaging", "cover_fabric", "scan_order",
-    "relaxation", "crosstalk", "hysteresis", "capacitive", "gain_offset", "temperature_drift",
-    "gaussian_noise", "sensing_range", "quantisation", "broken_taxels", "mesh_facets", "body_pose",
-    "indenter_offset", "sampling", "encoder", "gravity_error", "joint_friction", "force_sensor",
-)  # fmt: skip
-"""Names of the effects and of their modules, in the order of the signal: effects of one stage act
-in this order, followed by those of other packages."""
+from .base import NAMES, BaseEffect, Effect, check_effect
 
 ENTRY_POINT_GROUP = "meshskin.effects"
 """Group of the entry points through which other packages add effects."""
@@ -102,7 +93,7 @@ def _defined(base: type[Any]) -> dict[str, type[Effect]]:
     """The effects among the classes derived from `base`, by name."""
     found: dict[str, type[Effect]] = {}
     for kind in base.__subclasses__():
-        if hasattr(kind, "name") and is_dataclass(kind):
+        if hasattr(kind, "stage") and is_dataclass(kind):
             effect = cast(type[Effect], kind)
             found[effect.name] = effect
         found |= _defined(kind)

@@ -97,15 +97,54 @@ class Blur(effects.BaseEffect):
         return lambda pressures, frames: pressures
 
 
-def test_an_effect_is_named_by_its_class_and_a_variant_by_itself():
+def test_an_effect_is_named_by_its_class_and_so_is_a_variant():
     class SlowEcho(effects.BaseEffect, stage="robot", cost=1e-9):
         pass
 
     class Variant(SlowEcho):
         stage = "geometry"
 
+    @dataclass(frozen=True)
+    class LouderNoise(GaussianNoise):
+        pass
+
     assert (SlowEcho.name, SlowEcho.stage, SlowEcho.cost) == ("slow_echo", "robot", 1e-9)
-    assert (Variant.name, Variant.stage, Variant.cost) == ("slow_echo", "geometry", 1e-9)
+    assert (Variant.name, Variant.stage, Variant.cost) == ("variant", "geometry", 1e-9)
+    assert effects.find("louder_noise") is LouderNoise
+    assert effects.find("gaussian_noise") is GaussianNoise
+
+
+def test_an_effect_with_the_name_of_a_shipped_one_is_refused(sphere):
+    """A table or a study would build the shipped one in its place."""
+    with pytest.raises(ConfigError, match="an effect hysteresis exists in meshskin"):
+
+        class Hysteresis(effects.BaseEffect, stage="transducer", cost=1e-9):
+            pass
+
+    class Plain:
+        name, stage, cost = "crosstalk", "transducer", 0.0
+
+        def bound(self, context):
+            return 0.0
+
+        def build(self, context):
+            return lambda pressures, frames: pressures
+
+    with pytest.raises(ConfigError, match=r"the class .*Plain of .*; rename the class"):
+        sphere.with_(effects=(Plain(),))
+
+
+def test_an_effect_without_a_stage_is_refused_by_name(sphere):
+    @dataclass(frozen=True)
+    class Nowhere(effects.BaseEffect):
+        def bound(self, context):
+            return 0.0
+
+        def build(self, context):
+            return None
+
+    with pytest.raises(ConfigError, match="the effect nowhere has no stage"):
+        sphere.with_(effects=(Nowhere(),))
 
 
 def test_a_field_named_like_a_method_is_refused_by_name(sphere):

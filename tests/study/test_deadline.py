@@ -1,5 +1,6 @@
 """A time that is asked for is a deadline: what does not fit is left out, named, or refused."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 
 from meshskin import cli, pipeline
 from meshskin.core import deadline
-from meshskin.core.deadline import Deadline, check_run_seconds
+from meshskin.core.deadline import LEAST_SECONDS, Deadline
 from meshskin.core.errors import OutOfTime, StudyError
 from meshskin.estimation.calibrate import Estimation
 from meshskin.estimation.comparison import METHODS, compare_methods
@@ -66,10 +67,64 @@ def test_a_time_in_which_no_run_can_end_is_refused_at_once(tmp_path, capsys):
     line = capsys.readouterr().err
     assert "the time is too short, got 0.001 s, limit: a run takes" in line
     assert not (tmp_path / "out").exists()
-    with pytest.raises(StudyError, match=r"a run takes 7\.1 s at least"):
-        check_run_seconds(7.0, 7.1)
-    with pytest.raises(StudyError, match=r"got 2 s, limit: a run takes 2\.1 s at least"):
-        check_run_seconds(2.0, 2.04)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "crowding", "pace", "least"),
+    [
+        (10.0, 1.0, 1.0, None),
+        (10.0, 1.0, 1.2, 12.0),
+        (10.0, 2.0, 1.0, 20.0),
+        (18.0, 2.0, 1.0, None),
+    ],
+)
+def test_a_run_is_refused_by_the_pace_and_the_crowd_of_the_machine(
+    monkeypatch, seconds, crowding, pace, least
+):
+    """One of 10 s of processor time, which may end after 1.15 of the time."""
+    monkeypatch.setattr(deadline, "crowding", lambda: crowding)
+    monkeypatch.setattr(deadline, "pace", lambda: pace)
+    if least is None:
+        Deadline(seconds).check_run(10.0)
+        return
+    with pytest.raises(StudyError, match=rf"got {seconds:g} s, limit: a run takes {least:g}"):
+        Deadline(seconds).check_run(10.0)
+
+
+def test_a_run_is_refused_by_what_has_passed(monkeypatch):
+    """Half a second of processor time tells how crowded the machine is, whatever it says now."""
+    monkeypatch.setattr(deadline, "pace", lambda: 1.0)
+    monkeypatch.setattr(deadline, "crowding", lambda: 9.0)
+    ends_in(10.0, slowdown=4.0).check_run(6.0)
+    with pytest.raises(StudyError, match=r"a run takes 1[45]"):
+        ends_in(10.0, slowdown=4.0).check_run(11.0)
+    Deadline().check_run(1e9)
+
+
+def test_a_slow_machine_refuses_a_run_in_python(tmp_path, monkeypatch):
+    monkeypatch.setattr(deadline, "crowding", lambda: 1.0)
+    monkeypatch.setattr(deadline, "pace", lambda: 5.0)
+    monkeypatch.setattr(pipeline, "_planned", lambda *a: pytest.fail("the run began"))
+    with pytest.raises(StudyError, match=r"a run takes 10\.[5-9] s at least"):
+        pipeline.run("sphere", tmp_path, request=Request(seconds=8.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("part", "ends"), [(1.3, True), (0.6, False)])
+def test_the_least_time_is_that_of_a_run(tmp_path, part, ends):
+    """In processor time, as on an idle machine: 30 % more is enough, 40 % less is not."""
+    code = (
+        "import sys, time; from meshskin.core import deadline; from meshskin import cli\n"
+        "deadline.perf_counter, deadline.crowding = time.process_time, lambda: 1.0\n"
+        "deadline.Deadline.check_run = lambda self, processor: None\n"
+        "code = cli.main(sys.argv[1:]); print(code, time.process_time())"
+    )
+    asked = part * LEAST_SECONDS * deadline.pace()
+    words = ["run", "sphere", "--quiet", "--seconds", str(asked), "--out", str(tmp_path)]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
+    ended, seconds = done.stdout.split()
+    assert (ended == "0") is ends, (asked, done.stdout, done.stderr)
+    assert not ends or float(seconds) < 1.2 * asked
 
 
 def test_a_first_run_that_takes_all_the_time_is_refused(noisy):
@@ -77,7 +132,7 @@ def test_a_first_run_that_takes_all_the_time_is_refused(noisy):
     with pytest.raises(
         StudyError, match="got 100 s, limit: a first run on wide lanes takes longer"
     ):
-        choice.choose(noisy, request, METHODS, 0, ends_in(-1.0))
+        choice.choose(noisy, request, METHODS, 0, ends_in(-20.0))
 
 
 def test_the_time_of_a_first_run_is_bounded_by_the_size_of_the_skin(noisy):
@@ -85,9 +140,6 @@ def test_the_time_of_a_first_run_is_bounded_by_the_size_of_the_skin(noisy):
     assert 0.5 < first_run.least_seconds(noisy) < 1.3
     skin = noisy.skin.cover(noisy.body, spacing=5e-3, count=1000)
     assert 10.0 < first_run.least_seconds(noisy.with_(skin=skin)) < 20.0
-    calm = ends_in(10.0)
-    assert calm.least(5.0) == pytest.approx(105.0, abs=0.2)
-    assert ends_in(10.0, slowdown=4.0).least(5.0) == pytest.approx(120.0, abs=2.0)
 
 
 def test_a_first_run_ends_as_soon_as_its_pace_is_known(noisy, monkeypatch):
@@ -176,8 +228,8 @@ def test_a_crowded_machine_refuses_before_the_packages_are_read(tmp_path, capsys
     for crowding, pace in ((5.0, 1.0), (2.5, 2.0)):
         monkeypatch.setattr("meshskin.core.deadline.crowding", lambda found=crowding: found)
         monkeypatch.setattr("meshskin.core.deadline.pace", lambda found=pace: found)
-        assert cli.main(["run", "sphere", "--seconds", "13", "--out", str(tmp_path / "out")]) == 2
-        assert "a run takes 13.5 s at least" in capsys.readouterr().err
+        assert cli.main(["run", "sphere", "--seconds", "12", "--out", str(tmp_path / "out")]) == 2
+        assert re.search(r"a run takes 1[45](\.\d)? s at least", capsys.readouterr().err)
 
 
 def test_the_pace_is_that_of_this_process():

@@ -8,11 +8,21 @@ too, by more than its breadth: the likelihood is followed along its ridge.
 
 from __future__ import annotations
 
+from collections.abc import Generator
+
 import numpy as np
 
 from ...core.arrays import Array
 from .joint_estimator import JointEstimator
-from .rival_optima import OPEN_SECTOR, RING, batches, log_odds_between, open_sectors, responses
+from .rival_optima import (
+    OPEN_SECTOR,
+    RING,
+    batches,
+    finish,
+    log_odds_between,
+    open_sectors,
+    responses,
+)
 
 WIDTHS = (3.0, 6.0, 12.0)
 """Distances from the estimate, in its standard deviations, at which the likelihood is compared with
@@ -25,7 +35,7 @@ likelihood is followed along an arc, too."""
 PROBE = 2.0
 """Distance across the axis or arc, in standard deviations, at which the likelihood is compared with
 that on it: the ridge is near the vertex of the parabola through the three."""
-PROBES = PROBE * np.array([-1.0, 0.0, 1.0])[:, None, None]
+PROBES = (-PROBE, 0.0, PROBE)
 """PROBE to both sides."""
 MAX_ACROSS = 8.0
 """Largest move by one parabola, in standard deviations across: where the readings are out of reach
@@ -52,26 +62,27 @@ def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array
         return out
     copies = len(STEPS) * len(PROBES)
     for part in batches(rows, copies):
-        out[part] = widened_along_axis(estimator, part, covariance[part], scale)
+        out[part] = finish(widened_along_axis(estimator, part, covariance[part], scale))
     arcs = rows_seen_from_one_place(estimator, rows, points[rows])
     for part in batches(arcs, copies) if len(arcs) else []:
         step, _, axes = _steps(estimator, covariance[part])
         arc = _along_arcs(estimator, part, points[part], step, axes)
-        out[part] = _to_width(estimator, part, *arc, covariance[part], out[part], scale)
+        wide = _to_width(estimator, part, *arc, covariance[part], out[part], scale)
+        out[part] = finish(wide)
     return out
 
 
 def widened_along_axis(
     estimator: JointEstimator, rows: np.ndarray, covariance: Array, scale: float
-) -> Array:
+) -> Generator[None, None, Array]:
     """Covariances (r, 2, 2), m^2, of the taxels `rows`, no narrower than the likelihood along their
-    weakest axis."""
+    weakest axis. The generator yields before every evaluation of len(STEPS) places a taxel."""
     points = estimator.problem.points(estimator.state)[rows]
     frames = estimator.problem.parametrization.rotations()[rows]
     step, _, axes = _steps(estimator, covariance)
     across, way = np.einsum("kij,kjl->lki", frames[:, :, :2], axes)
     there = points + step[:, :, None] * way
-    return _to_width(estimator, rows, there, across, covariance, covariance, scale)
+    return (yield from _to_width(estimator, rows, there, across, covariance, covariance, scale))
 
 
 def _steps(estimator: JointEstimator, covariance: Array) -> tuple[Array, Array, Array]:
@@ -85,7 +96,7 @@ def _steps(estimator: JointEstimator, covariance: Array) -> tuple[Array, Array, 
 def _to_width(
     estimator: JointEstimator, rows: np.ndarray, there: Array, across: Array, covariance: Array,
     given: Array, scale: float,
-) -> Array:  # fmt: skip
+) -> Generator[None, None, Array]:  # fmt: skip
     """The covariances `given` (r, 2, 2) widened along both axes of `covariance` (r, 2, 2) to the
     likelihood on the ridge near places `there` (steps, r, 3). across: unit vectors across the
     ridge, as wide as `there` or (r, 3)."""
@@ -93,7 +104,7 @@ def _to_width(
     points = estimator.problem.points(estimator.state)[rows]
     frames = estimator.problem.parametrization.rotations()[rows][:, :, :2]
     breadth = np.sqrt(np.maximum(value[:, 0], 0.0))
-    moves = _moves(estimator, rows, points, there, across * breadth[:, None], scale)
+    moves = yield from _moves(estimator, rows, points, there, across * breadth[:, None], scale)
     wide = np.abs(np.einsum("kij,kjl,ski->skl", frames, axes, moves)).max(axis=0)
     square = np.maximum(wide**2, value) - np.einsum("kil,kij,kjl->kl", axes, given, axes)
     return given + np.einsum("kil,kl,kjl->kij", axes, np.maximum(square, 0.0), axes)
@@ -102,20 +113,26 @@ def _to_width(
 def _moves(
     estimator: JointEstimator, rows: np.ndarray, points: Array, there: Array, across: Array,
     scale: float,
-) -> Array:  # fmt: skip
+) -> Generator[None, None, Array]:  # fmt: skip
     """Moves (2 steps, r, 3), m, of the taxels at `points` (r, 3) by one standard deviation of the
     likelihood at places `there` (steps, r, 3), and at those of the ridge near them.
 
     across: a standard deviation across the ridge, as wide as `there` or (r, 3), m.
     """
-    move = np.zeros(there.shape[:2])
+    move, moves = np.zeros(there.shape[:2]), []
     for _ in range(PARABOLAS):
-        cost = _log_odds(estimator, rows, points, there + (move + PROBES)[..., None] * across)[1]
+        cost = []
+        for probe in PROBES:
+            yield
+            place = there + (move + probe)[..., None] * across
+            cost.append(_log_odds(estimator, rows, points, place)[1])
         move = move + _vertex(*cost)
-    places = np.stack([there, there + move[..., None] * across])
-    places, odds = _log_odds(estimator, rows, points, places)
-    sigmas = np.sqrt(np.maximum(2 * odds / scale, 1.0))
-    return np.asarray(((places - points) / sigmas[..., None]).reshape(-1, len(rows), 3))
+    for place in (there, there + move[..., None] * across):
+        yield
+        place, odds = _log_odds(estimator, rows, points, place)
+        sigmas = np.sqrt(np.maximum(2 * odds / scale, 1.0))
+        moves.append((place - points) / sigmas[..., None])
+    return np.concatenate(moves)
 
 
 def _vertex(before: Array, at: Array, after: Array) -> Array:

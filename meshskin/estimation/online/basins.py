@@ -61,11 +61,11 @@ def examine(
     yield
     places, odds = yield from likeliest_rivals(estimator, rows, charts.points, STEPS)
     yield
-    spread = widened_along_axis(estimator, rows, covariance, 1.0) - covariance
+    wide = yield from widened_along_axis(estimator, rows, covariance, 1.0)
     rival = odds < MAX_LOG_ODDS
     apart = np.where(rival[:, None], places - charts.points, 0.0)
     return Basins(
         better=np.where((odds < 0)[:, None], places, np.nan),
-        spread=spread + tangential_square(charts.tangents, apart),
+        spread=wide - covariance + tangential_square(charts.tangents, apart),
         unique=~rival,
     )

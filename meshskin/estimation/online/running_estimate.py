@@ -52,7 +52,7 @@ MEASURED = 20
 CHUNK = 256
 """Taxels estimated anew at once, at most: bounds the memory."""
 EXAMINED = 2
-"""Taxels examined at once: some 25 parts of 4 ms (studies/speed/online.py)."""
+"""Taxels examined at once: some 33 parts of 4 ms (studies/speed/online.py)."""
 MAX_ROUNDS = 8
 """Rounds of `settle`; three are usual."""
 

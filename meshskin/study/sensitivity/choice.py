@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ...core.deadline import REPORT_SECONDS, Deadline
+from ...core.deadline import OVERTIME, REPORT_SECONDS, Deadline
 from ...core.errors import OutOfTime, ReachError, StudyError
 from ...core.progress import Progress
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
@@ -67,7 +67,8 @@ def choose(
     """
     began = deadline.spent[0]
     try:
-        first = first_run(scene, seed, deadline, progress)
+        late = replace(deadline, seconds=OVERTIME * deadline.seconds)
+        first = first_run(scene, seed, late, progress)
     except OutOfTime as error:
         raise StudyError(
             "the time is too short",

@@ -54,6 +54,23 @@ def test_a_flat_optimum_is_as_wide_as_its_likelihood(monkeypatch):
     assert across @ flat @ axis == pytest.approx(0.0, abs=1e-15)
 
 
+def test_widths_are_found_in_parts_of_six_places_a_taxel(monkeypatch):
+    """An online calibration does one part a frame."""
+    evaluated = []
+
+    def odds(estimator, rows, first, second):
+        evaluated[-1] += len(rows)
+        return np.sum((second[0] - first[0]) ** 2, axis=1) / (2 * 0.1e-3**2)
+
+    monkeypatch.setattr(likelihood_widths, "log_odds_between", odds)
+    covariance, rows = np.tile(0.1e-3**2 * np.eye(2), (3, 1, 1)), np.arange(3)
+    evaluated.append(0)
+    work = likelihood_widths.widened_along_axis(estimator_of(3, monkeypatch), rows, covariance, 1.0)
+    for _ in work:
+        evaluated.append(0)
+    assert evaluated == [0] + [3 * 6] * 8
+
+
 @pytest.mark.parametrize("bend", [-4.0, 0.0, 4.0, 12.0])
 def test_a_flat_optimum_that_bends_is_as_wide_as_along_its_ridge(bend, monkeypatch):
     """Two optima six standard deviations apart, one 5 times (in cost 2) less likely, on a ridge
