@@ -71,6 +71,15 @@ def test_each_group_of_taxels_has_curves_of_its_own():
     assert "2 groups of taxels have responses of their own: 0 to 11; 12 to 23, 40" in words
 
 
+def test_errors_over_edges_are_described_where_contacts_tell_them():
+    """1 is where they begin, and stays where no contact is over an edge."""
+    words = "readings over edges of the body err by 0.23 of the peak"
+    told = [replace(response(5e-3), edge_error=value) for value in (0.234, 1.0, 0.0)]
+    assert [words in " ".join(one.describe()) for one in told] == [True, False, False]
+    assert [one.metrics()["edge_error"] for one in told] == [0.234, 1.0, 0.0]
+    assert "over edges" not in " ".join(told[1].describe())
+
+
 def test_a_page_says_what_was_learned(case, tmp_path):
     c = replace(case.calibration(), response=response(5e-3), modulus=None, modulus_sigma=None)
     metrics = {"modulus_pa": None, "response": c.response.metrics()}
