@@ -98,3 +98,14 @@ def test_a_page_of_the_contact_model_s_response_has_no_such_section(case, tmp_pa
     files = page.report(tmp_path / "report.html", calibration=case.calibration(), body=None)
     assert learned_response.TITLE not in files[0].read_text(encoding="utf-8")
     assert not (tmp_path / "figures" / "response.svg").exists()
+
+
+def test_a_page_has_the_unknowns_in_readable_units(case, tmp_path):
+    unknowns = {"clock_offset": (0.037, 2e-4), "joint_offset elbow": (-0.01, 1e-3)}
+    c = replace(case.calibration(), unknowns=unknowns)
+    metrics = {"unknowns": {name: list(value) for name, value in unknowns.items()}}
+    files = page.report(tmp_path / "report.html", calibration=c, body=None, metrics=metrics)
+    html = files[0].read_text(encoding="utf-8")
+    assert "37 ± 0.2 ms" in html
+    assert "0.573 ± 0.057 degrees" in html
+    assert "unknowns." not in html
