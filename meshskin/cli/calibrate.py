@@ -218,9 +218,9 @@ def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
         lines.append(f"  sigma            mean {spread['mean']:.4g} mm, max {spread['max']:.4g}")
     if found.modulus is not None:
         lines.append(f"  E*               {found.modulus / 1e3:.4g} kPa{certainty(found)}")
-    for name, (value, sigma, unit) in found.parameter_values.items():
+    for name, words in found.parameter_words().items():
         if name not in ("modulus", "contact_scatter", "force_scatter"):
-            lines.append(f"  {name:<16} {value:.4g} +- {sigma:.2g} {unit}".rstrip())
+            lines.append(f"  {name:<16} {words}")
     lines += response_lines(found)
     if "gain" in found.taxel_unknowns:
         gains = found.taxel_unknowns["gain"][:, 0]

@@ -33,6 +33,14 @@ if TYPE_CHECKING:
     from .cross_validation import CrossValidation
     from .next_contact import NextContacts
 
+READABLE = {
+    "rad": (180 / np.pi, "degrees"),
+    "m": (1e3, "mm"),
+    "s": (1e3, "ms"),
+    "Pa": (1e-3, "kPa"),
+}
+"""Factors and names of the units of `Calibration.parameter_words`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration(Value, Card, Tabular, EstimateDetails):
@@ -125,8 +133,7 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
         if len(sigma):
             facts["sigma"] = f"median {np.median(sigma):.3g} mm, largest {sigma.max():.3g} mm"
         facts["readings"] = f"{self.readings.sum():,}"
-        for name, (value, spread, unit) in self.parameter_values.items():
-            facts[name] = f"{value:.4g} \u00b1 {spread:.2g} {unit}".rstrip()
+        facts |= self.parameter_words("\u00b1")
         if self.fit is not None:
             facts["test of fit"] = self.fit.words
         lost = Counter(self.reasons_left_out).most_common()
@@ -205,6 +212,15 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
         The modulus is E* in Pa; a force scale is the factor of the true to the measured force.
         """
         return natural_units(self.unknowns, self.modulus, self.modulus_sigma)
+
+    def parameter_words(self, between: str = "+-") -> dict[str, str]:
+        """`parameter_values` in words, in degrees, mm, ms and kPa; `between`: value and standard
+        deviation."""
+        words = {}
+        for name, (value, sigma, unit) in self.parameter_values.items():
+            factor, shown = READABLE.get(unit, (1.0, unit))
+            words[name] = f"{factor * value:.4g} {between} {factor * sigma:.2g} {shown}".rstrip()
+        return words
 
     def save(self, path: str | Path) -> None:
         """Write path.parquet, which `load` reads, and path.csv, a table for people (mm)."""

@@ -84,7 +84,7 @@ class LearnedResponse(Value):
     """Its part proportional to the reading."""
     edge_error: float = 0.0
     """Rms error of the readings over edges of the body, relative to its heights over quadrics there
-    and the peak (`patch_shape.unevenness`)."""
+    and the peak (`patch_shape.unevenness`); 1 exactly where no contacts tell it."""
     alike_contacts: float = 1.0
     """Factor of the variances by errors that neighbouring contacts share; 1 where chance explains
     them (learned/contact_correlations.py)."""
@@ -143,6 +143,7 @@ class LearnedResponse(Value):
             "alike_contacts": self.alike_contacts,
             "noise": self.noise,
             "noise_percent": 100 * self.noise_relative,
+            "edge_error": self.edge_error,
             "unit": self.unit_name,
             "hysteresis_share": self.hysteresis[0],
             "hysteresis_width": self.hysteresis[1],
@@ -176,6 +177,11 @@ class LearnedResponse(Value):
     def describe(self) -> tuple[str, ...]:
         """One sentence for each variance, and each departure that the readings show."""
         shown = []
+        if self.edge_error not in (0.0, 1.0):
+            shown.append(
+                f"readings over edges of the body err by {self.edge_error:.2g} of the peak where "
+                "the heights there are one depth of the contact"
+            )
         if self.hysteresis[0]:
             share, width = (100 * value for value in self.hysteresis)
             shown.append(

@@ -67,10 +67,14 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
         offset = offsets[0].offset
     elif skins[0][1].delay is None and not all(_of_skin(s, m) for s, m in pairs):
         compared = False
+        joints = any(stream.kind == JOINTS for _, stream in pairs)
+        then = (
+            "estimated with the taxels by a calibration with the URDF" if joints else "taken as 0"
+        )
         notes.append(
-            "the onsets of this log do not tell the clock offset of the skin: it is taken as 0, or "
-            "estimated with the taxels where joint angles are calibrated; for the onsets, press "
-            "and retract along one path at five places, record a force, or give delay_ms"
+            f"the onsets of this log do not tell the clock offset of the skin: it is {then}; for "
+            "the onsets, press and retract along one path at five places, record a force, or give "
+            "delay_ms"
         )
     kept = _kept(times - offset, pairs, offset)
     frames = times[kept] - offset

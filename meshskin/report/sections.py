@@ -138,7 +138,10 @@ def _numbers(data: ReportData) -> list[str]:
             sigma = significant(c.modulus_sigma / 1e3)
             line = f"Effective modulus E*, estimated: {value} ± {sigma} (1 sigma) kPa."
         blocks.append(paragraphs(line))
-    shown = {*SHOWN_ELSEWHERE, *data.errors}
+    rows = [row for row in c.parameter_words("±").items() if row[0] != "modulus"]
+    if rows:
+        blocks.append(table(("estimated with the taxels", "value ± 1 sigma"), rows, numeric=(1,)))
+    shown = {*SHOWN_ELSEWHERE, *data.errors, "unknowns"}
     if advice.is_noiseless(data):  # errors of arithmetic have no covariance
         shown |= {"nees", "nees_band"}
     rest = flatten({k: v for k, v in data.metrics.items() if k not in shown})

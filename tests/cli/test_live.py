@@ -136,7 +136,7 @@ def test_the_page_ends_with_the_calibration_of_all_contacts(
 def test_contacts_that_no_contact_model_describes_are_replayed(noisy, viewer, tmp_path, capsys):
     """Where the skin is believed softer than contact models reach, its response is learned."""
     rng = np.random.default_rng(0)
-    points = noisy.skin.positions[:12].repeat(25, axis=0)
+    points = noisy.skin.positions[:12].repeat(15, axis=0)
     recording = ms.press(noisy, points + rng.normal(scale=3e-3, size=points.shape), seed=1)
     ms.Recording(recording.contacts, recording.readings, {}).save(tmp_path / "log")
     noisy.body.mesh.export(tmp_path / "body.ply")

@@ -223,6 +223,18 @@ def test_parameters_in_natural_units(world, noisy):
     value, sigma = found.unknowns["force_scale"]
     assert scale == (pytest.approx(np.exp(value)), pytest.approx(np.exp(value) * sigma), "")
     assert offset == (*found.unknowns["force_offset"], "N")
+    unknowns = {
+        "joint_offset j1": (0.01, 1e-3),
+        "clock_offset": (0.037, 2e-4),
+        "modulus": (0.0, 0.1),
+    }
+    words = replace(
+        found, unknowns=unknowns | {"indenter_position x": (-2e-3, 1e-4)}
+    ).parameter_words()
+    assert words["joint_offset j1"] == "0.573 +- 0.057 degrees"
+    assert words["clock_offset"] == "37 +- 0.2 ms"
+    assert words["indenter_position x"] == "-2 +- 0.1 mm"
+    assert words["modulus"].endswith("kPa")
 
 
 def test_invalid_reports(world, noisy, tmp_path):

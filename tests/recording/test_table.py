@@ -80,9 +80,10 @@ def test_columns_by_group_and_by_pattern(tmp_path, write, name):
     path = write(tmp_path / name)
     log, could = read_and_suggest(path)
     assert {s.name: len(s.fields) for s in log.streams} == {
-        "q_*": 3, "skin_*": 8, "fx": 1, "fy": 1, "fz": 1,
+        "q_*": 3, "skin_*": 8, "wrench": 3,
     }  # fmt: skip
-    assert [one.kind for one in could["q_*"] + could["skin_*"]] == ["joints", "taxels"]
+    kinds = [could[name][0].kind for name in ("q_*", "skin_*", "wrench")]
+    assert kinds == ["joints", "taxels", "wrench"]
     log_map = LogMap(
         (
             StreamMap("q_*", "joints", names=("a", "b", "c"), unit="deg"),
@@ -97,6 +98,17 @@ def test_columns_by_group_and_by_pattern(tmp_path, write, name):
     assert (joints.fields, skin.fields[0]) == (("a", "b", "c"), "5")
     np.testing.assert_array_equal(skin.values[:, 7], COLUMNS["skin_7"])
     np.testing.assert_array_equal(force.values[:, 0], COLUMNS["fx"])
+
+
+def test_the_columns_of_a_wrench_are_proposed_together(tmp_path):
+    torque = {name: np.arange(N, dtype=float) for name in ("tx", "ty", "tz")}
+    path = csv(tmp_path / "log.csv", COLUMNS | torque)
+    log, could = read_and_suggest(path)
+    wrench = could["wrench"][0]
+    log = read_log(path, LogMap((StreamMap("skin_*", "taxels"), wrench)))
+    assert log.streams[1].fields == ("fx", "fy", "fz", "tx", "ty", "tz")
+    np.testing.assert_array_equal(log.streams[1].values[:, 2], COLUMNS["fz"])
+    np.testing.assert_array_equal(log.streams[1].values[:, 4], torque["ty"])
 
 
 def test_a_folder_of_files(tmp_path):

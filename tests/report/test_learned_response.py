@@ -71,6 +71,15 @@ def test_each_group_of_taxels_has_curves_of_its_own():
     assert "2 groups of taxels have responses of their own: 0 to 11; 12 to 23, 40" in words
 
 
+def test_errors_over_edges_are_described_where_contacts_tell_them():
+    """1 is where they begin, and stays where no contact is over an edge."""
+    words = "readings over edges of the body err by 0.23 of the peak"
+    told = [replace(response(5e-3), edge_error=value) for value in (0.234, 1.0, 0.0)]
+    assert [words in " ".join(one.describe()) for one in told] == [True, False, False]
+    assert [one.metrics()["edge_error"] for one in told] == [0.234, 1.0, 0.0]
+    assert "over edges" not in " ".join(told[1].describe())
+
+
 def test_a_page_says_what_was_learned(case, tmp_path):
     c = replace(case.calibration(), response=response(5e-3), modulus=None, modulus_sigma=None)
     metrics = {"modulus_pa": None, "response": c.response.metrics()}
@@ -89,3 +98,14 @@ def test_a_page_of_the_contact_model_s_response_has_no_such_section(case, tmp_pa
     files = page.report(tmp_path / "report.html", calibration=case.calibration(), body=None)
     assert learned_response.TITLE not in files[0].read_text(encoding="utf-8")
     assert not (tmp_path / "figures" / "response.svg").exists()
+
+
+def test_a_page_has_the_unknowns_in_readable_units(case, tmp_path):
+    unknowns = {"clock_offset": (0.037, 2e-4), "joint_offset elbow": (-0.01, 1e-3)}
+    c = replace(case.calibration(), unknowns=unknowns)
+    metrics = {"unknowns": {name: list(value) for name, value in unknowns.items()}}
+    files = page.report(tmp_path / "report.html", calibration=c, body=None, metrics=metrics)
+    html = files[0].read_text(encoding="utf-8")
+    assert "37 ± 0.2 ms" in html
+    assert "0.573 ± 0.057 degrees" in html
+    assert "unknowns." not in html

@@ -214,10 +214,10 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
     [
         ("hysteresis", {"hysteresis": (0.5, 0.2)}, 0.05e-3),
         ("crosstalk", {"crosstalk": 0.05}, 0.04e-3),
-        ("crosstalk_modules", {"crosstalk": 0.05}, 0.04e-3),
+        pytest.param(*("crosstalk_modules", {"crosstalk": 0.05}, 0.04e-3), marks=pytest.mark.slow),
         pytest.param("crosstalk_faint", {"crosstalk": 0.02}, 0.03e-3, marks=pytest.mark.slow),
         ("matrix", {"crosstalk": 0.03}, 0.03e-3),
-        ("ghosts", {"crosstalk": 0.03}, 0.03e-3),
+        pytest.param("ghosts", {"crosstalk": 0.03}, 0.03e-3, marks=pytest.mark.slow),
         ("drift", {"drift": 0.05}, 0.05e-3),
         ("creep_30", {"creep": (0.2, 3.0)}, 0.04e-3),
         pytest.param("creep_stops", {"creep": (0.2, 1.0)}, 0.04e-3, marks=pytest.mark.slow),
@@ -225,7 +225,7 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
         ("drag_01", {"drag": 0.1e-3}, 0.03e-3),
         pytest.param("drag_09", {"drag": 0.9e-3}, 0.03e-3, marks=pytest.mark.slow),
         ("force_nominal", {}, 0.05e-3),
-        ("strays", {}, 0.04e-3),
+        pytest.param("strays", {}, 0.04e-3, marks=pytest.mark.slow),
         ("hertz", {}, 0.04e-3),
     ],
 )
@@ -323,6 +323,7 @@ def test_the_layer_on_a_prism_bears_the_force():
     assert depth[0] < deeper < np.sqrt(2) * depth[0]
 
 
+@pytest.mark.slow
 def test_sigma_holds_beside_an_edge(study, tmp_path):
     """Without deviations of the readings over edges 0.12 of the errors were stated."""
     asked = ["--worlds", "edge", "--seeds", "1", "--out", str(tmp_path)]

@@ -170,13 +170,11 @@ class FittedReadings:
             explained, along = self.system.explained(*parts)
             information, slope = information - explained, slope + along
         else:
-            each = [self._coupling(column) for column in columns.T]
-            solved = [self._solved(b) for b in each]
-            part = np.stack(each, axis=2)
-            information -= inner(part, np.stack(solved, axis=2))
+            part = self._coupling(columns)
+            information -= inner(part, self._solved(part))
             # a scale that is wrong would pass for amplitudes that change
             scale, follows, own = self._scale
-            common = weighted.T @ scale - inner(part, follows[..., None])[:, 0]
+            common = weighted.T @ scale - inner(part, follows)[:, 0]
             if own > 0:  # zero without any reading that counts
                 slope = slope + common * float(self.rate @ scale) / own
                 information -= np.outer(common, common) / own
@@ -187,9 +185,10 @@ class FittedReadings:
     @cached_property
     def _scale(self) -> tuple[Array, Array, float]:
         """Derivatives (k,) of the readings in a common scale, how the taxels' own unknowns follow
-        it (n, D), and its information."""
+        it (n, D, 1), and its information."""
         scale = np.maximum(self.mu - self.offset, 0.0)
-        return scale, self._solved(self._coupling(scale)), float(self.each(scale)[1].sum())
+        follows = self._solved(self._coupling(scale[:, None]))
+        return scale, follows, float(self.each(scale)[1].sum())
 
     def unexplained(self, columns: Array) -> tuple[Array, Array]:
         """What other unknowns do not explain of `columns` (k, q), derivatives of the readings in
@@ -203,11 +202,10 @@ class FittedReadings:
             left = columns - self.system.forward(self.jacobian, (taxels, contacts, shared))
             fixed = taxels, np.zeros_like(contacts), shared
             return left, columns - self.system.forward(self.jacobian, fixed)
-        scale, taxel = self._own_information[0], self.readings.taxel
+        found = self._solved(self._coupling(columns)) / self._own_information[0][:, :, None]
         left = columns.copy()
-        for k, column in enumerate(columns.T):
-            found = self._solved(self._coupling(column)) / scale
-            left[:, k] -= np.einsum("ak,ka->k", self.own, found[taxel])
+        for k, part in enumerate(np.moveaxis(found, 2, 0)):
+            left[:, k] -= np.einsum("ak,ka->k", self.own, part[self.readings.taxel])
         return left, left
 
     def displaced(self, columns: Array) -> Array:
@@ -216,29 +214,27 @@ class FittedReadings:
             weighted = self.curvature[:, None] * columns
             parts = self.system.transposed(self.jacobian, weighted)
             return self.system.solve(*parts)[0][:, :2]
-        solved = [self._solved(self._coupling(column)) for column in columns.T]
-        return np.stack(solved, axis=2)[:, :2] / self._own_information[0][:, :2, None]
+        solved = self._solved(self._coupling(columns))
+        return np.asarray(solved[:, :2] / self._own_information[0][:, :2, None])
 
     def each(self, column: Array) -> tuple[Array, Array]:
         """Derivative (n,) of the log-likelihood of each taxel in a parameter with the derivatives
         `column` (k,), and its information where the taxel's own unknowns are estimated."""
-        taxel, n, b = self.readings.taxel, len(self.points), self._coupling(column)
-        explained = np.einsum("na,na->n", b, self._solved(b))
+        taxel, n, b = self.readings.taxel, len(self.points), self._coupling(column[:, None])
+        explained = np.einsum("nai,nai->n", b, self._solved(b))
         information = sums_by_group(self.curvature * column**2, taxel, n) - explained
         slope = -sums_by_group(self.rate * column, taxel, n)
         return slope, information
 
-    def _coupling(self, column: Array) -> Array:
-        """Coupling (n, D) of each taxel's own unknowns, in their scales, with a parameter of the
-        derivatives `column` (k,)."""
-        weighted = (self.own * self.curvature * column).T
-        return (
-            sums_by_group(weighted, self.readings.taxel, len(self.points))
-            / (self._own_information[0])
-        )
+    def _coupling(self, columns: Array) -> Array:
+        """Couplings (n, D, q) of each taxel's own unknowns, in their scales, with parameters of the
+        derivatives `columns` (k, q)."""
+        taxel, n, own = self.readings.taxel, len(self.points), self.own * self.curvature
+        sums = [sums_by_group((own * column).T, taxel, n) for column in columns.T]
+        return np.asarray(np.stack(sums, axis=2) / self._own_information[0][:, :, None])
 
     def _solved(self, coupling: Array) -> Array:
-        return np.asarray(np.linalg.solve(self._own_information[1], coupling[..., None])[..., 0])
+        return np.asarray(np.linalg.solve(self._own_information[1], coupling))
 
     @cached_property
     def _own_information(self) -> tuple[Array, Array]:

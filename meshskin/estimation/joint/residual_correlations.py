@@ -176,9 +176,10 @@ def _in_place(width: float) -> Kernel:
     """Errors that correlate over `width` reaches, even and odd in the place."""
 
     def kernel(contact: Array, place: Array) -> tuple[Array, ...]:
+        x, y = place.T
         near, mirrored = (
-            np.exp(-np.sum((place[:, None] - sign * place) ** 2, axis=2) / (2 * width**2))
-            for sign in (1.0, -1.0)
+            np.exp(-((x[:, None] - s * x) ** 2 + (y[:, None] - s * y) ** 2) / (2 * width**2))
+            for s in (1.0, -1.0)
         )
         return (near + mirrored) / 2, (near - mirrored) / 2
 
@@ -188,20 +189,23 @@ def _in_place(width: float) -> Kernel:
 def _score(samples: list[Sample], kernel: Kernel) -> float:
     """Score of the kernel's correlations at a variance of zero, of all of them or of the last ones,
     which are odd in the place; its own variances, which noise has, too, do not count."""
-    slope, information = np.zeros(2), np.zeros(2)
+    slope = np.zeros(len(kernel(*samples[0][:2])))
+    information = np.zeros_like(slope)
     for contact, place, basis, left in samples:
         parts = kernel(contact, place)
-        for k, covariance in enumerate((np.sum(parts, axis=0), parts[-1])):
+        for k, covariance in enumerate((np.sum(parts, axis=0), parts[-1])[: len(parts)]):
             np.fill_diagonal(covariance, 0.0)
-            covariance = covariance - basis @ (basis.T @ covariance)
-            covariance -= (covariance @ basis) @ basis.T
-            slope[k] += left @ covariance @ left - np.trace(covariance)
-            information[k] += 2 * np.sum(covariance**2)
+            seen = covariance @ basis  # what the projection on the residuals takes away
+            both = basis.T @ seen
+            slope[k] += left @ covariance @ left + np.trace(both)
+            squares = (np.vdot(matrix, matrix) for matrix in (covariance, seen, both))
+            information[k] += 2 * np.dot((1, -2, 1), list(squares))
     return float(np.max(slope / np.maximum(information, 1e-300) ** 0.5))
 
 
 def _most_likely(samples: list[Sample], kernel: Kernel) -> tuple[float, Array]:
     """Negative logarithm of the largest restricted likelihood, and the variances there."""
+    from scipy.linalg.lapack import dtrtrs
     from scipy.optimize import minimize
 
     size = max(len(left) - basis.shape[1] for *_, basis, left in samples)
@@ -218,8 +222,8 @@ def _most_likely(samples: list[Sample], kernel: Kernel) -> tuple[float, Array]:
     def cost(log_ratio: Array) -> tuple[float, float]:
         ratio = np.exp(np.minimum(log_ratio, np.log(MAX_RATIO)))
         root = np.linalg.cholesky(np.eye(size) + np.tensordot(ratio, shared, 1))
-        white = np.linalg.solve(root, residuals[:, :, None])
-        noise = float(np.sum(white**2)) / count
+        white = [dtrtrs(r.T, left, trans=1)[0] for r, left in zip(root, residuals, strict=True)]
+        noise = float(np.sum(np.square(white))) / count
         volume = float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
         return volume + count * np.log(noise) / 2, noise
 

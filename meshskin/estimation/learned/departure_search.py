@@ -71,9 +71,10 @@ def first_estimate(effects: RandomEffects) -> RandomEffects:
 
 def with_departures(
     effects: RandomEffects, begin: tuple[Unknowns, Deviations], excluded: Collection[str]
-) -> tuple[RandomEffects, dict[str, float]]:
-    """The estimate with what the readings show beyond the response, and the scores of other
-    departures, but for those that make the readings hardly more likely.
+) -> tuple[RandomEffects, dict[str, float], bool]:
+    """The estimate with what the readings show beyond the response, the scores of other departures,
+    but for those that make the readings hardly more likely, and whether the search came to an end:
+    it does not where one does not converge, as with a response of another kind.
 
     effects: at its optimum; begin: the unknowns and deviations that it began with; excluded:
     departures that are not estimated. Taxels whose responses differ become two groups where the
@@ -85,7 +86,7 @@ def with_departures(
         left = {name: score for name, (score, _) in found.items() if name not in unlikely}
         shown = [name for name in left if left[name] > MIN_SCORE and name not in failed]
         if not shown:
-            return effects, {name: left[name] for name in left if name != GROUPS}
+            return effects, {name: left[name] for name in left if name != GROUPS}, True
         name, start = shown[0], found[shown[0]][1]
         extended, first, converged = _with_departure(effects, begin, name, start)
         gain = _objective(effects) - _objective(extended) if converged is not None else -np.inf
@@ -102,8 +103,9 @@ def with_departures(
             failed = set(excluded)
         else:
             unlikely.add(name)
-        if not converged:  # a response of another kind; further departures would not correct it
-            return effects, {other: left[other] for other in left if other not in (name, GROUPS)}
+        if not converged:  # further departures would not correct it
+            rest = {other: left[other] for other in left if other not in (name, GROUPS)}
+            return effects, rest, False
 
 
 def _with_departure(

@@ -124,15 +124,15 @@ def _attempt(
     effects = first_estimate(effects)
     if len(bad := _displaced(effects, recorded)):  # others would stand in for departures
         return recorded.without_contacts(bad), excluded
-    effects, departures = with_departures(effects, begin, excluded)
+    effects, departures, ended = with_departures(effects, begin, excluded)
     frozen = _frozen(effects, live, weight)
     if _lacks(effects, frozen):
         effects = _restarted(effects, frozen)
         effects.converge()
         frozen = _frozen(effects, live, weight)
-    if len(bad := _displaced(effects, recorded)):
+    if ended and len(bad := _displaced(effects, recorded)):
         return recorded.without_contacts(bad), excluded
-    for repeated in range(MAX_ROUNDS):
+    for repeated in range(MAX_ROUNDS if ended else 1):  # others would not bring it to rest
         estimator = reject_outliers(_frozen(effects, live, weight) if repeated else frozen)
         rivals = resolve_rivals(estimator)
         if not _changed(effects, estimator, weight):

@@ -32,6 +32,8 @@ TIME_NAMES = ("time", "t", "timestamp", "stamp")
 """Names of the column of times, before their unit; without a unit they are in s."""
 JOINT_NAMES = ("q", "joint", "position", "angle")
 """Words of the names of columns that could be joint angles."""
+FORCES, TORQUES = ("fx", "fy", "fz"), ("tx", "ty", "tz")
+"""Names of the columns of a wrench."""
 
 
 def read(
@@ -129,13 +131,16 @@ def _time_column(names: list[str], file: Path) -> str:
 
 def _groups(names: list[str]) -> dict[str, list[str]]:
     """Columns by their name with * for the number at the end, but for those of times; those of
-    contacts together; beside these a column that is named as their group is in none."""
-    contacts = contact_columns(names)[0]
-    groups: dict[str, list[str]] = {CONTACTS: contacts} if contacts else {}
+    contacts together, and those of a wrench; beside these a column that is named as their group is
+    in none."""
+    groups: dict[str, list[str]] = {}
+    if contacts := contact_columns(names)[0]:
+        groups[CONTACTS] = contacts
+    if set(FORCES) <= set(names) - set(contacts):
+        groups[WRENCH] = [*FORCES, *(TORQUES if set(TORQUES) <= set(names) else ())]
+    known = {*groups, *(name for columns in groups.values() for name in columns)}
     for name in names:
-        if contacts and name == CONTACTS:
-            continue
-        if name.lower().partition("_")[0] not in TIME_NAMES and name not in contacts:
+        if name not in known and name.lower().partition("_")[0] not in TIME_NAMES:
             groups.setdefault(re.sub(r"\d+$", "*", name), []).append(name)
     return groups
 

@@ -84,15 +84,18 @@ def budget(
     trial = BudgetTrial(scene, effects, taxel_error, range(seed, seed + SEEDS), progress)
     aside, limit = range(seed + SEEDS, seed + SEEDS + HOLDOUT_SEEDS), MARGIN * taxel_error
     holdout = Holdout(trial.everything, trial.belief, trial.path, trial.halves, aside)
+    stage = Stage(progress, "check", CHECKS)
     for _ in range(CHECKS):
         on, rest = choose(trial.items, limit, trial.forced(limit), trial.joint_shift)
         estimate = mean_length(rest)
         check = holdout.check(trial.scene_with(on), trial.tolerance_with(on))
+        stage.step()
         confirmed = check.shift <= max(2.0 * estimate, NEGLIGIBLE * taxel_error)
         fits = check.shift <= taxel_error and check.lost == 0
         if (fits and confirmed) or len(on) == len(trial.items):
             break
         limit = MARGIN * min(limit, estimate) / max(check.shift / taxel_error, 1.0)
+    stage.end()
     return trial.report(on, estimate, check, limit, refused)
 
 

@@ -164,14 +164,18 @@ def cost(
     base = Setting.of(scene)
     finest = base.finest(scene, finer)
 
-    reference = NumericalReference(finest.scene(scene, finest.body(scene.body)), finest.tolerance)
     asked = [
         (k, s) for k, s in single_changes(base, scene) if k == "scene" or (k in knobs and s != base)
     ]
-    stage = Stage(progress, "cost", len(asked) + len(targets))
+    first = Stage(progress, "reference", 3)
+    reference = NumericalReference(finest.scene(scene, finest.body(scene.body)), finest.tolerance)
+    first.step()
     confirmed = routes(reference)
+    first.step()
     # the first run of a process takes longer: no row includes it
     TrialRunner(scene, seeds, reference).run("scene", base)
+    first.step()
+    stage = Stage(progress, "cost", len(asked) + len(targets))
     runner = TrialRunner(scene, seeds, reference)
     rows: list[Row] = []
     for knob, setting in asked:

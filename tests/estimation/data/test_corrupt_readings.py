@@ -17,6 +17,12 @@ def recording(world):
     return world.record(0.01, 0.05)
 
 
+@pytest.fixture(scope="module")
+def sound(world, recording):
+    """The calibrations without a corrupt reading, by the noise that is stated."""
+    return {noise: calibrate(recording, world.belief(noise, 0.05)) for noise in (0.01, None)}
+
+
 def with_pressure(recording, row, value):
     pressure = recording.pressure.copy()
     pressure[row] = value
@@ -28,10 +34,9 @@ def with_pressure(recording, row, value):
 
 @pytest.mark.parametrize("noise", [0.01, None])
 @pytest.mark.parametrize("value", [38, 330, 1e5, 1e95, np.inf, np.nan, -1.0])
-def test_one_corrupt_reading_costs_itself(world, recording, noise, value):
-    belief = world.belief(noise, 0.05)
+def test_one_corrupt_reading_costs_itself(world, recording, sound, noise, value):
+    belief, sound = world.belief(noise, 0.05), sound[noise]
     row = int(np.argmax(recording.pressure))
-    sound = calibrate(recording, belief)
     found = calibrate(with_pressure(recording, row, value * world.peak_reference), belief)
     moved = np.linalg.norm(found.positions - sound.positions, axis=1)
     assert np.all(moved < sound.position_sigma)
@@ -41,9 +46,8 @@ def test_one_corrupt_reading_costs_itself(world, recording, noise, value):
     assert found.readings[k] == sound.readings[k] - 1
 
 
-def test_a_stretch_of_one_value_over_the_skin_is_left_out(world, recording):
-    belief = world.belief(None, 0.05)
-    sound = calibrate(recording, belief)
+def test_a_stretch_of_one_value_over_the_skin_is_left_out(world, recording, sound):
+    belief, sound = world.belief(None, 0.05), sound[None]
     m, k = len(recording.time), int(belief.taxel_ids[3])
     stuck = np.arange(m // 4, m // 4 + m // 5)
     other = (recording.reading_taxel != k) | ~np.isin(recording.reading_contact, stuck)

@@ -77,7 +77,7 @@ def test_without_a_noise_model_the_residuals_scale_the_covariance(world):
 
 def test_silent_readings_keep_the_modulus_unbiased(world):
     bias = []
-    for seed in range(5):
+    for seed in range(3):
         data = gather(world.record(0.1, 0.1, seed), world.belief(0.1, 0.1))
         pair = (data, replace(data, noise=None))  # the noise is estimated, then
         bias.append([maximum_likelihood.estimate(d).modulus / world.modulus - 1 for d in pair])

@@ -13,6 +13,7 @@ from meshskin.core.se3 import exp_so3
 from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.estimation.chart import charts_at
 from meshskin.estimation.data.gather import gather
+from meshskin.estimation.joint import rival_optima
 from meshskin.estimation.joint.joint_estimator import JointEstimator
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.joint.pressure import OBSERVED
@@ -193,3 +194,31 @@ def test_contacts_on_another_face_close_no_open_sector(tilt, sector):
     normals = UP @ exp_so3(np.radians([[tilt, 0.0, 0.0]]))[0]
     found = np.degrees(open_sectors(amid_four_contacts(9.0, 9.0, normals), np.zeros((2, 3))))
     assert np.allclose(found, sector)
+
+
+def test_only_taxels_that_have_moved_are_searched_again(line, monkeypatch):
+    """Where the global parameters stay, the rivals of the others do."""
+    scene, calibration, far = line
+    data = gather(strip_recording(scene, far), scene.belief())
+    live = np.flatnonzero(np.isfinite(calibration.positions[:, 0]))
+    places, row = calibration.positions[live], int(np.searchsorted(live, far))
+    places[row] = calibration.rivals[far]
+    charts = charts_at(data.body, places, calibration.poses[live, :3, :3])
+    parametrization = SurfaceParametrization(charts, float(np.median(data.radii)) / 2)
+    weight, fixed = np.ones(len(data.pressure)), data.parameters.start()
+    estimator = JointEstimator(data, live, parametrization, weight, 30, shared=fixed)
+    estimator.converge()
+    whole, searched, likeliest = find_rivals(estimator), [], rival_optima.likeliest_rivals
+    assert whole.log_odds[row] < 0
+
+    def observed(estimator, rows, points):
+        searched.append(rows)
+        return likeliest(estimator, rows, points)
+
+    monkeypatch.setattr(rival_optima, "likeliest_rivals", observed)
+    found = resolve_rivals(estimator)
+    assert [len(rows) > 1 for rows in searched] == [True, False]
+    np.testing.assert_array_equal(searched[1], [row])
+    assert found.log_odds[row] == pytest.approx(-whole.log_odds[row], rel=0.1)
+    others = np.arange(len(live)) != row
+    np.testing.assert_array_equal(found.log_odds[others], whole.log_odds[others])

@@ -98,14 +98,19 @@ def test_a_calibration_without_learned_response_is_refused(noisy):
 
 @pytest.fixture(scope="module")
 def past(noisy):
-    """Seven taxels with hysteresis: the recording, and its calibration."""
+    """Seven taxels with hysteresis, read at 50 Hz: the recording, and its calibration."""
     middle = noisy.skin.positions[40]
     off = np.linalg.norm(noisy.skin.positions - middle, axis=1)
     rows = np.sort(np.argsort(off)[:7])
     skin = ms.Skin(noisy.skin.poses[rows], noisy.skin.ids[rows], noisy.skin.disc_radius)
     lagging = ms.effects.find("hysteresis")(share=0.5, width_relative=0.1)
     slow = ms.Loop(mode="quasi_static")
-    scene = noisy.with_(skin=skin, effects=(*noisy.effects, lagging), loop=slow)
+    scene = noisy.with_(
+        skin=skin,
+        effects=(*noisy.effects, lagging),
+        loop=slow,
+        readout=replace(noisy.readout, rate=50.0),
+    )
     recording = ms.simulate(scene, seed=1)
     return ms.calibrate(recording, replace(scene.belief(), contact="learned")), recording
 

@@ -213,7 +213,8 @@ def test_it_goes_on_after_pickling(world, frames):
     assert str(first.status) == str(again.status)
 
 
-def test_the_contacts_of_a_recording_are_those_of_its_frames(world, frames):
+def test_the_contacts_of_a_recording_are_those_of_its_frames(world):
+    world = type(world)(extent=10e-3, step=1e-3)
     recording, belief = world.record(NOISE, THRESHOLD), world.belief(NOISE, THRESHOLD)
     first, again = ms.OnlineCalibration(belief), ms.OnlineCalibration(belief)
     dense = np.zeros((len(recording.time), len(world.ids)))

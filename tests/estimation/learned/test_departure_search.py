@@ -1,0 +1,88 @@
+"""The search for departures ends where what it finds is of another kind."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from meshskin.estimation.calibrate import Estimation, calibrate
+from meshskin.estimation.learned import departure_search, estimate
+from meshskin.estimation.learned.random_effects import MAX_IMPLAUSIBLE
+
+from .test_estimate import RADIUS, belief, bell, recording, world
+from .test_first_response import started  # noqa: F401
+
+
+def test_an_estimate_that_stays_out_of_reach_is_given_up(started):  # noqa: F811
+    whole, given_up = started(), started()
+    assert whole.converge()
+    assert not given_up.converge(lambda: False)
+    assert len(given_up.iterates) - 1 == MAX_IMPLAUSIBLE < len(whole.iterates) - 1
+
+
+def searched(monkeypatch, scores, trial):
+    """What `with_departures` returns where departures have `scores` and trials give `trial`, that
+    is whether they converge and by how much they lower the objective; and what it tried."""
+    tried, (converged, gain) = [], trial
+
+    def with_departure(effects, begin, name, start):
+        tried.append(name)
+        del scores[name]
+        return SimpleNamespace(objective=effects.objective - gain), begin, converged
+
+    monkeypatch.setattr(
+        departure_search,
+        "_scores",
+        lambda effects: {name: (score, np.zeros(1)) for name, score in scores.items()},
+    )
+    monkeypatch.setattr(departure_search, "_with_departure", with_departure)
+    monkeypatch.setattr(departure_search, "_objective", lambda effects: effects.objective)
+    monkeypatch.setattr(departure_search, "plausible", lambda effects, name: True)
+    begin = SimpleNamespace(objective=0.0)
+    return departure_search.with_departures(begin, (None, None), ()), tried
+
+
+def test_after_two_lost_departures_of_the_electronics_no_other_of_them_is_tried(monkeypatch):
+    scores = {"hysteresis": 20.0, "creep": 15.0, "crosstalk": 12.0, "drag": 8.0}
+    (_, left, ended), tried = searched(monkeypatch, scores, (None, 0.0))
+    assert tried == ["hysteresis", "creep", "drag"]
+    assert left == {"crosstalk": 12.0}
+    assert ended
+
+
+@pytest.mark.parametrize("converged", [True, False])
+def test_a_search_ends_but_where_a_departure_does_not_converge(monkeypatch, converged):
+    scores = {"drag": 20.0, "friction": 15.0}
+    (found, left, ended), tried = searched(monkeypatch, scores, (converged, 1e3))
+    assert ended is converged
+    assert tried == (["drag", "friction"] if converged else ["drag"])
+    assert left == ({} if converged else {"friction": 15.0})
+    assert found.objective == (-2e3 if converged else -1e3)
+
+
+def test_displaced_contacts_are_left_out_before_departures_are_searched(monkeypatch):
+    points, *others = world(bell, scatter=5e-5)
+    points[::50] += np.random.default_rng(3).normal(0.0, 3e-3, points[::50].shape)
+    points *= RADIUS / np.linalg.norm(points, axis=1)[:, None]
+    seen = []
+
+    def search(effects, begin, excluded):
+        seen.append(len(effects.data.misfitting))
+        return effects, {}, True
+
+    monkeypatch.setattr(estimate, "with_departures", search)
+    calibrate(recording(points, *others), belief(contact="learned"))
+    assert len(seen) == 1
+    assert 8 <= seen[0] <= 12  # 10 are displaced
+
+
+@pytest.mark.parametrize("equal", [False, True])
+def test_no_response_is_learned_of_a_log_that_fails_by_itself(monkeypatch, equal):
+    """Equal pressures are none, whatever the response."""
+    *others, pressure = world(bell, contacts=300)
+    learned = []
+    monkeypatch.setattr(Estimation, "_learned", lambda self, stage: learned.append(stage))
+    log = recording(*others, np.full_like(pressure, 1e4) if equal else pressure)
+    found = calibrate(log, belief(contact="auto"))
+    assert bool(learned) is not equal
+    assert (found.verdict.level == "FAIL") >= equal
