@@ -33,7 +33,9 @@ STARTS, HELD = (1.0, 1.5, 2.5), 20
 resemble many with a small one, and a mean field ends at either. The likelier one counts."""
 CARE = 0.5
 """Part of the logarithm of the odds of a pair that its uncertainty rests on: contacts and the other
-taxels are not known, nor other pairs, which a mean field takes as independent."""
+taxels are not known, nor other pairs, which a mean field takes as independent. Of the errors 0.93
+and 1.27 are stated with it, 0.75 and 0.85 with 1, 1.8 and 2.3 with 0.25, and 0.7 without these
+variances (studies/foreign_worlds.py --worlds crosstalk_faint, seeds 0 and 1)."""
 RIDGE, TINY = 1e-6, 1e-12
 """Added to the diagonal of normal equations, relative to it and at least: shares that no reading
 determines."""
