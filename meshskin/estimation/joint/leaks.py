@@ -19,7 +19,7 @@ import numpy as np
 from ...core.arrays import Array, sums_by_group
 from .departures import FittedReadings
 from .electronics import FAR, NEXT, near_pairs, nearest
-from .small_effects import LEAST_SCORE, SmallEffects, most_likely
+from .small_effects import SmallEffects, most_likely
 
 ROUNDS, DAMPING, SETTLED = 300, 0.5, 1e-3
 """Largest number of rounds of the mean field, the part of a change that is made in each, and the
@@ -33,10 +33,15 @@ STARTS, HELD = (1.0, 1.5, 2.5), 20
 resemble many with a small one, and a mean field ends at either. The likelier one counts."""
 CARE = 0.5
 """Part of the logarithm of the odds of a pair that its uncertainty rests on: contacts and the other
-taxels are not known, nor other pairs, which a mean field takes as independent."""
+taxels are not known, nor other pairs, which a mean field takes as independent. Of the errors 0.93
+and 1.27 are stated with it, 0.75 and 0.85 with 1, 1.8 and 2.3 with 0.25, and 0.7 without these
+variances (studies/foreign_worlds.py --worlds crosstalk_faint, seeds 0 and 1)."""
 RIDGE, TINY = 1e-6, 1e-12
 """Added to the diagonal of normal equations, relative to it and at least: shares that no reading
 determines."""
+LEAST_SCORE = 2.5
+"""Score, in standard deviations, of further shares from which taxels move: 0 to 1.4 in 92
+recordings without crosstalk, of 35 worlds."""
 MIN_GAIN = 3.0
 """Least increase of the log-likelihood by the mixture over one share of all neighbours."""
 
@@ -58,6 +63,10 @@ class Leaks:
         """Weights, or values (p,), of the pairs (q,); 0 of others."""
         at = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
         return np.where(self.key[at] == key, (self.weight if values is None else values)[at], 0.0)
+
+    def reading(self, count: int) -> float:
+        """Fraction of `count` taxels that read of another one, rather than not."""
+        return len(np.unique(self.key[self.weight > 0.5] // count)) / count
 
     def change_from(self, before: Leaks) -> float:
         """Largest change of a weight; pairs that only one of the two has have 0 in the other."""

@@ -27,8 +27,6 @@ by a tenth of its standard deviation, more is not small. Neighbours differ by a 
 between them the marginal likelihood is flat."""
 PARTS = 15
 """Numbers of blocks with effects that are tried, from half a block to all."""
-LEAST_SCORE = 4.0
-"""Score, in standard deviations, from which taxels move: 3e-5 by chance."""
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,10 @@ chance."""
 MAX_ROUNDS, SAME = 12, 0.05
 """Largest number of choices of the neighbours that crosstalk: places follow, and the choice them;
 and the change of their weights from which the choice is the same."""
+MIN_READING = 0.15
+"""Least fraction of the taxels that read of others for these to have a common share: 0.03 to 0.1
+where 3 to 6 of 61 do, which with a common share read of wrong ones, 0.2 and more in boards whose
+channels, lines, modules or neighbours crosstalk."""
 NOISY = 0.05
 """Noise, relative to the peak, from which forces that are recorded as equal may differ: that of
 sensors is 0.5 to 5 %."""
@@ -120,7 +124,10 @@ def _with_departure(
     for origin in (begin, (effects.unknowns, effects.deviations)):
         extended = _extended(effects, *origin, name, start)
         if name == "crosstalk":
-            extended = _leaking(extended, leaking_pairs(effects.fitted()))
+            leaks = leaking_pairs(effects.fitted())
+            if leaks is not None and leaks.reading(len(effects.unknowns.nuisance)) < MIN_READING:
+                return effects, begin, None  # single pairs have shares of their own
+            extended = _leaking(extended, leaks)
         first, converged = (extended.unknowns, extended.deviations), None
         try:
             converged = extended.converge(partial(plausible, extended, name))

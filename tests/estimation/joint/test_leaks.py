@@ -29,6 +29,12 @@ def test_weights_change_although_other_pairs_are_neighbours():
     assert before.change_from(before) == 0.0
 
 
+def test_taxels_that_read_of_others():
+    """Taxels 0 and 3 of four do; 1 rather not."""
+    pairs = Leaks(np.array([1, 2, 6, 13]), np.array([0.9, 0.8, 0.4, 0.7]), np.zeros(4))
+    assert pairs.reading(4) == 0.5
+
+
 def ring(has, noise=1.0, seed=0):
     """Shares of 30 taxels in a ring, each of which reads of the six nearest, where `has`
     (180,) bool: what the readings tell, but for two combinations that displace the taxel, and one

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshskin.estimation.joint.small_effects import DEVIATIONS, LEAST_SCORE, PARTS, most_likely
+from meshskin.estimation.joint.small_effects import DEVIATIONS, PARTS, most_likely
 
 READINGS, EFFECTS = 60, 5
 
@@ -73,7 +73,7 @@ def test_covariances_hold():
 
 def test_chance_has_no_score():
     scores = [most_likely(*made(40, 0, 0.0, seed)[:2])[0] for seed in range(60)]
-    assert max(scores) < LEAST_SCORE
+    assert max(scores) < 2.5
     assert np.median(scores) < 0.5
 
 

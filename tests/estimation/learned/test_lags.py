@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.joint.departures import TIMES, WIDTHS
-from meshskin.estimation.joint.small_effects import LEAST_SCORE, most_likely
+from meshskin.estimation.joint.small_effects import most_likely
 from meshskin.estimation.learned import lags as module
-from meshskin.estimation.learned.lags import MAX_LEVERAGE, contact_leverage, lags
+from meshskin.estimation.learned.lags import LEAST_SCORE, MAX_LEVERAGE, contact_leverage, lags
 
 READINGS, FAMILY = 400, len(TIMES) + len(WIDTHS)
 
