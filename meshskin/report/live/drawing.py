@@ -26,6 +26,9 @@ BODY_FACES, LINK_FACES = 20_000, 3_000
 BODY_COLOR, LINK_COLOR, INDENTER_COLOR = (184, 190, 199), (150, 158, 168), (86, 96, 110)
 LIFT = 2e-4
 """Height of discs above the surface, m: flat marks would flicker where the mesh is coarse."""
+INWARD = 0.25
+"""Depth at which the body is drawn below its surface, in radii of a taxel: the flat facets of a
+link's mesh lie above the smooth surface in places, and would hide the discs on it."""
 AMBIENT, LAMP = 2.0, 1.4
 """Light from all sides and from the camera's side. Chosen by looking: surfaces that face the camera
 have the colours of the legend, others are darker."""
@@ -87,8 +90,9 @@ class Drawing:
     def _add_body(self) -> None:
         facets = self.stage.belief.body.facets
         focus = self.stage.recording.points
-        mesh = scene3d.decimate(facets.vertices, facets.faces, focus, BODY_FACES)
-        self._mesh("/body/mesh", *mesh, BODY_COLOR, side="double", cast_shadow=False)
+        v, f = scene3d.decimate(facets.vertices, facets.faces, focus, BODY_FACES)
+        v = v - INWARD * self.stage.belief.disc_radius * scene3d.vertex_normals(v, f)
+        self._mesh("/body/mesh", v, f, BODY_COLOR, side="double", cast_shadow=False)
 
     def _add_robot(self) -> None:
         if self.stage.carrier is None:
