@@ -26,9 +26,6 @@ BODY_FACES, LINK_FACES = 20_000, 3_000
 BODY_COLOR, LINK_COLOR, INDENTER_COLOR = (184, 190, 199), (150, 158, 168), (86, 96, 110)
 LIFT = 2e-4
 """Height of discs above the surface, m: flat marks would flicker where the mesh is coarse."""
-INWARD = 0.25
-"""Depth at which the body is drawn below its surface, in radii of a taxel: the flat facets of a
-link's mesh lie above the smooth surface in places, and would hide the discs on it."""
 AMBIENT, LAMP = 2.0, 1.4
 """Light from all sides and from the camera's side. Chosen by looking: surfaces that face the camera
 have the colours of the legend, others are darker."""
@@ -90,9 +87,8 @@ class Drawing:
     def _add_body(self) -> None:
         facets = self.stage.belief.body.facets
         focus = self.stage.recording.points
-        v, f = scene3d.decimate(facets.vertices, facets.faces, focus, BODY_FACES)
-        v = v - INWARD * self.stage.belief.disc_radius * scene3d.vertex_normals(v, f)
-        self._mesh("/body/mesh", v, f, BODY_COLOR, side="double", cast_shadow=False)
+        mesh = scene3d.decimate(facets.vertices, facets.faces, focus, BODY_FACES)
+        self._mesh("/body/mesh", *mesh, BODY_COLOR, side="double", cast_shadow=False)
 
     def _add_robot(self) -> None:
         if self.stage.carrier is None:
@@ -200,7 +196,8 @@ class Drawing:
         if self.view == ROBOT and self.stage.carrier is not None:
             return self._camera_on_robot(self.stage.carrier, row)
         points = self.stage.recording.points
-        plane = tangent_plane(points, self.stage.recording.normals)
+        # a log need not have normals
+        plane = tangent_plane(points, self.stage.belief.body.closest(points).normal)
         across, up = plane.axes
         outward = np.cross(across, up)
         radius = float(np.max(np.linalg.norm(points - plane.origin, axis=1), initial=0.02))
