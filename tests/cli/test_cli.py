@@ -234,7 +234,8 @@ def test_a_method_that_places_nothing_is_left_out_of_the_comparison(tmp_path, mo
         return replace(found, poses=nowhere, reasons=why)
 
     monkeypatch.setattr(pipeline.Estimation, "calibrate", places_nothing)
-    monkeypatch.setattr(pipeline, "_write_report", lambda *_: None)  # the test above draws it
+    drawn = {"figures_left_out": []}  # the test above draws them
+    monkeypatch.setattr(pipeline, "_report", lambda _, result: result.metrics.update(drawn))
     text = 'extends = "sphere"\n[skin]\ncount = 7'
     assert cli.main(["run", toml(tmp_path, text), "--out", str(tmp_path / "out")]) == 0
     m = json.loads((tmp_path / "out" / "metrics.json").read_text())

@@ -87,7 +87,7 @@ def test_an_offset_that_cannot_be_told_is_said(streams):
     frames = log_frames(log_of(still, log_map), log_map)
     assert (frames.skin_log.clock_offset, frames.skin_log.clock_sigma) == (0.0, None)
     assert "do not tell the clock offset" in frames.notes[0]
-    assert "estimated with the taxels where joint angles are calibrated" in frames.notes[0]
+    assert "estimated with the taxels by a calibration with the URDF" in frames.notes[0]
     assert "taken as 0" not in frames.notes[0]
     assert not frames.clock_compared
     given = LogMap((MAP.streams[0], replace(MAP.streams[2], delay=0.037)))

@@ -145,11 +145,18 @@ def _exceeds(found: Calibration, noise: float | None) -> bool:
 
 
 def _with_clock(found: Calibration, clock: float) -> Calibration:
-    """The calibration with the offset of the clocks, s, that its contacts were moved by before."""
+    """The calibration with the offset of the clocks, s, that its contacts were moved by before: the
+    table of its belief is about that offset, too."""
     if not clock:
         return found
-    value, sigma = found.unknowns["clock_offset"]
-    return replace(found, unknowns={**found.unknowns, "clock_offset": (value + clock, sigma)})
+    name, belief = "clock_offset", found.belief
+    assert belief is not None
+    assert belief.contact_motion is not None
+    value, sigma = found.unknowns[name]
+    motion = belief.contact_motion
+    mean = motion.mean + clock * (np.array(motion.labels) == name)
+    belief = replace(belief, contact_motion=replace(motion, mean=mean))
+    return replace(found, belief=belief, unknowns={**found.unknowns, name: (value + clock, sigma)})
 
 
 def _started(

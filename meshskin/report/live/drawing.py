@@ -196,7 +196,8 @@ class Drawing:
         if self.view == ROBOT and self.stage.carrier is not None:
             return self._camera_on_robot(self.stage.carrier, row)
         points = self.stage.recording.points
-        plane = tangent_plane(points, self.stage.recording.normals)
+        # a log need not have normals
+        plane = tangent_plane(points, self.stage.belief.body.closest(points).normal)
         across, up = plane.axes
         outward = np.cross(across, up)
         radius = float(np.max(np.linalg.norm(points - plane.origin, axis=1), initial=0.02))

@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 import meshskin as ms
@@ -117,6 +118,21 @@ def test_the_camera_looks_at_the_skin_from_outside(page, stage):
     page.drawing.view = module.SKIN
     position, target, _ = page.drawing.camera(0)
     assert np.linalg.norm(target - stage.recording.points.mean(axis=0)) < 5e-3
+    assert stage.belief.body.closest(position[None]).distance[0] > 0.02
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_camera_is_outside_where_a_log_has_no_normals(page, stage, monkeypatch, side):
+    """Of the points alone, one side of the plane is as good as the other."""
+    contacts, none = stage.recording.contacts, np.full(len(stage.recording.time), np.nan)
+    columns = {name: contacts[name].to_numpy() for name in contacts.column_names}
+    columns |= {name: side * columns[name] for name in ("px", "py", "pz")}
+    columns |= dict.fromkeys(("nx", "ny", "nz"), none)
+    table = pa.table(list(columns.values()), schema=contacts.schema)
+    recording = ms.Recording(table, stage.recording.readings, stage.recording.metadata)
+    monkeypatch.setattr(page.drawing, "stage", replace(stage, recording=recording))
+    page.drawing.view = module.SKIN
+    position, _, _ = page.drawing.camera(0)
     assert stage.belief.body.closest(position[None]).distance[0] > 0.02
 
 
