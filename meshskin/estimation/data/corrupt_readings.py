@@ -25,6 +25,15 @@ is: equal readings of a sound taxel lie within the latter."""
 SPIKE_RATIO = 3.0
 """Reading, relative to those of its taxel in neighbouring contacts, from which these do not confirm
 it: over half of its reach a patch falls to .7 of its peak, by Hertz."""
+LEAST_SPIKE = 0.15
+"""Least spike, relative to the typical second strongest reading of a taxel: less displaces a taxel
+little."""
+MAX_SPIKES = 0.1
+"""Fraction of spikes from which they are none: readings that are late by some contacts are all at
+wrong places."""
+ABOVE_NOISE = 10.0
+"""Least spike, relative to the median of readings far from the taxel's contacts, where these are
+more than MAX_SPIKES: they are noise then, and the median of noise above zero is 0.67 sigma."""
 NEIGHBOURS, STEPS = 6, (-2, -1, 1, 2)
 """Contacts that are nearest to that of a reading, and in time: what creep and hysteresis leave
 follows a stronger reading."""
@@ -44,9 +53,7 @@ def corrupt_readings(pressure: Array, taxel: np.ndarray) -> np.ndarray:
     """
     lost = ~np.isfinite(pressure)
     level = np.where(lost, 0.0, pressure)
-    order = np.lexsort((-level, taxel))
-    first = np.flatnonzero(np.diff(taxel[order], prepend=-1))
-    count = np.diff(np.append(first, len(order)))
+    first, count, order = _strongest_first(level, taxel)
     many = count >= MIN_READINGS
     if not many.any():
         return lost
@@ -110,8 +117,14 @@ def spikes(
     from scipy.spatial import cKDTree
 
     found = np.zeros(len(taxel), dtype=bool)
+    if not len(taxel):
+        return found
     centre = _weighted_medians(points[contact], taxel, pressure)
-    far = np.flatnonzero(np.linalg.norm(points[contact] - centre[taxel], axis=1) > FAR * reach)
+    apart = np.linalg.norm(points[contact] - centre[taxel], axis=1)
+    away, least = apart > FAR * reach, LEAST_SPIKE * _typical(pressure, taxel)
+    if away.mean() > MAX_SPIKES:
+        least = max(least, ABOVE_NOISE * float(np.median(pressure[away])))
+    far = np.flatnonzero(away & (pressure > least))
     if not len(far) or len(points) <= NEIGHBOURS:
         return found
     distance, near = cKDTree(points).query(points[contact[far]], NEIGHBOURS + 1)
@@ -127,7 +140,22 @@ def spikes(
     level[others == contact[far, None]] = 0.0
     limit = SPIKE_RATIO * np.maximum(level.max(axis=1), threshold)
     found[far] = enough & (pressure[far] > limit)
-    return found
+    return found & (found.mean() <= MAX_SPIKES)
+
+
+def _typical(level: Array, taxel: np.ndarray) -> float:
+    """Median of the taxels' second strongest readings; 0 where none has MIN_READINGS."""
+    first, count, order = _strongest_first(level, taxel)
+    many = count >= MIN_READINGS
+    return float(np.median(level[order[first[many] + 1]])) if many.any() else 0.0
+
+
+def _strongest_first(level: Array, taxel: np.ndarray) -> tuple[np.ndarray, ...]:
+    """First reading (n,) of each taxel that has any, their number (n,), in an order (k,) in which
+    the strongest of a taxel come first."""
+    order = np.lexsort((-level, taxel))
+    first = np.flatnonzero(np.diff(taxel[order], prepend=-1))
+    return first, np.diff(np.append(first, len(order))), order
 
 
 def _weighted_medians(values: Array, group: np.ndarray, weight: Array) -> Array:

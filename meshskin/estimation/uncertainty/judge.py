@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core.arrays import Array
-from ...recording.recording import JOINT_ANGLES
 from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_parameters
 from ..data.patch_shape import MAX_EDGES
-from ..data.unit_checks import angles
 from ..joint.departures import MIN_SCORE
 from ..learned.contact_correlations import MAX_CORRELATION
-from . import second_places, swapped_axes, verdict, weighted_means
+from . import recorded_normals, second_places, swapped_axes, verdict, weighted_means
 from .contact_errors import SURFACE_DEPTHS, displacement, motion, nearer_points
 from .goodness_of_fit import STRONG
 from .verdict import DOUBT, FAIL, LEVELS, PASS, PRIOR_SIGMAS, Finding, Verdict, level_of
@@ -42,19 +40,6 @@ MODULUS_FACTORS = 3.0, 10.0
 """Factor between the estimated and the nominal E* from which it is a doubt, and a failure. Nominal
 values of elastomers by Shore hardness are within a factor of 2; pressures 2 and 4 times wrong move
 E* by factors of 2.7 and 17, since the patch, too, has to fit."""
-NORMAL_ANGLES = 20.0, 45.0
-"""Median angle of recorded normals and those of the believed surface, in degrees, from which it is
-a doubt, and a failure: with friction of 0.3 a force leans by 17 degrees."""
-NORMAL_TURNS = -0.5, 0.0
-"""Turn of the recorded normals over that of the surface, along the direction where it is least,
-with the opposite sign, from which it is a doubt, and a failure: 1 in a sound log, -1 along a
-mirrored axis, the cosine of the angle in a frame that is rotated about the normal."""
-STRAYS = 0.05
-"""Part of the contacts, those with the normals farthest from the surface's, that do not tell how
-both turn: on a patch where they turn by 0.1 rad, 9 of 3,184 contacts on the way over an edge, 80
-degrees off, halved the ratio; a mirrored axis shows in all contacts."""
-MIN_TURN = 0.03
-"""Spread of the surface's normals along a direction, rad, from which turns along it count."""
 MAX_FAULTY = 0.2
 """Fraction of faulty taxels from which the log is in doubt, not the taxels."""
 NAMED = 4
@@ -114,7 +99,7 @@ def _of_log(
     points = nearer_points(data, unknowns)
     return [
         *_surface(data, points),
-        *_normals(recording, data),
+        *recorded_normals.findings(recording, data),
         *swapped_axes.findings(recording, data, points),
         *verdict.pressures(recording, data),
     ]
@@ -270,45 +255,6 @@ def _edges(data: Measurements) -> list[Finding]:
         'learn the response: contact="auto" or "learned"; or believe a smoother body'
     )
     return [(DOUBT, words)]
-
-
-def _normals(recording: Recording, data: Measurements) -> list[Finding]:
-    """Recorded normals against those of the believed surface: their angle, and how both turn from
-    contact to contact, which on a small patch shows a mirrored axis better."""
-    rows = np.flatnonzero((recording.force > 0) & np.isfinite(recording.normals).all(axis=1))
-    computed = recording.metadata.get("source") == JOINT_ANGLES  # the normals are the surface's
-    if computed or len(rows) < verdict.MIN_CONTACTS:
-        return []
-    hit, normals = data.body.closest(recording.points[rows]), recording.normals[rows]
-    off = angles(hit, normals)
-    typical, most = float(np.degrees(np.median(off))), float(np.quantile(off, 1 - STRAYS))
-    turn, axis = _least_turn(hit.normal[off <= most], normals[off <= most])
-    if (level := level_of(-turn, NORMAL_TURNS)) != PASS:
-        words = (
-            f"from contact to contact, recorded normals turn {turn:.2g} times as the believed "
-            f"surface's along ({', '.join(f'{x:.2g}' for x in axis)}) (limit "
-            f"{-NORMAL_TURNS[0]:g}): check the signs and the order of the axes of contacts and body"
-        )
-    elif (level := level_of(typical, NORMAL_ANGLES)) != PASS:
-        words = (
-            f"recorded normals are {typical:.2g} degrees from those of the believed surface in the "
-            f"median (limit {NORMAL_ANGLES[0]:g}): check the frame of the body and of the contacts"
-        )
-    return [] if level == PASS else [(level, words)]
-
-
-def _least_turn(surface: Array, normals: Array) -> tuple[float, Array]:
-    """The least eigenvalue of the regression of recorded normals (m, 3) on those of the surface,
-    and its direction (3,); 1 where the surface's hardly turn."""
-    centred = surface - surface.mean(axis=0)
-    value, vectors = np.linalg.eigh(centred.T @ centred / len(centred))
-    basis = vectors[:, value > MIN_TURN**2]
-    if not basis.size:
-        return 1.0, np.zeros(3)
-    across, found = centred @ basis, (normals - normals.mean(axis=0)) @ basis
-    slope = np.linalg.lstsq(across, found, rcond=None)[0]
-    least, directions = np.linalg.eigh((slope + slope.T) / 2)
-    return float(least[0]), basis @ directions[:, 0]
 
 
 def _faults(calibration: Calibration) -> list[Finding]:
