@@ -9,7 +9,7 @@ import numpy as np
 from ...core.arrays import Array
 from ..result import ALIKE_CONTACTS, SHARED_ERRORS
 from ..uncertainty.goodness_of_fit import GoodnessOfFit
-from . import rejected_readings
+from . import fault_detection, rejected_readings
 from .contact_fields import ContactFields, contact_fields
 from .departures import FittedReadings, departure_scores, fitted_readings
 from .joint_estimator import JointEstimator
@@ -53,8 +53,10 @@ class ModelDepartures:
         factor of the readings' standard deviations."""
         if self.fitted is None:
             return np.zeros((2, 2))
-        spread = noise / np.sqrt(np.maximum(self.fitted.readings.precision, 1e-300))
-        moved = rejected_readings.displacements(self.fitted, spread)
+        readings = self.fitted.readings
+        spread = fault_detection.spread(readings, noise)
+        spread /= np.sqrt(np.maximum(readings.precision, 1e-300))
+        moved = rejected_readings.displacements(self.fitted, readings.precision, spread)
         return np.asarray(moved[:, :, None] * moved[:, None])
 
     def scores(self, estimator: JointEstimator) -> dict[str, float]:

@@ -27,9 +27,10 @@ HUBER = 4.0
 """Residual, in standard deviations, to which that of an outlying reading is cut."""
 
 
-def displacements(fitted: FittedReadings, spread: Array) -> Array:
+def displacements(fitted: FittedReadings, weight: Array, spread: Array) -> Array:
     """Displacements (n, 2), m, of the taxels along their tangents by the readings that were left
-    out; zeros where these are accidents. spread (k,): standard deviations of the readings."""
+    out; zeros where these are accidents. weight (k,): of the readings, as `fitted.curvature` of the
+    others; spread (k,): their standard deviations."""
     from scipy.special import pdtrc
 
     readings, n = fitted.readings, len(fitted.points)
@@ -42,5 +43,5 @@ def displacements(fitted: FittedReadings, spread: Array) -> Array:
     out &= chance[readings.taxel] < CHANCE
     off = readings.level / fitted.data.sigma - fitted.mu
     cut = np.where(out, np.clip(off, -HUBER * spread, HUBER * spread), 0.0)
-    counted = replace(fitted, curvature=np.where(out, spread**-2.0, fitted.curvature))
+    counted = replace(fitted, curvature=np.where(out, weight, fitted.curvature))
     return counted.displaced(cut[:, None])[:, :, 0]

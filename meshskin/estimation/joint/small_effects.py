@@ -28,6 +28,9 @@ between them the marginal likelihood is flat."""
 PARTS = 15
 """Numbers of blocks with effects that are tried, from half a block to all."""
 
+SINGULAR = 1e-9
+"""Information, relative to the largest of its block, up to which there is none: by rounding."""
+
 
 @dataclass(frozen=True)
 class SmallEffects:
@@ -40,6 +43,14 @@ class SmallEffects:
     covariances: Array
     """(n, 2, 2), m^2, of these."""
 
+    def held(self) -> SmallEffects:
+        """These where it is not certain that they are what displaces the taxels: the taxels stay,
+        and the squares of their displacements count in the covariances."""
+        square = self.displacements[:, :, None] * self.displacements[:, None]
+        return SmallEffects(
+            self.score, np.zeros_like(self.displacements), self.covariances + square
+        )
+
     @classmethod
     def none(cls, count: int, score: float = 0.0) -> SmallEffects:
         """None of `count` taxels."""
@@ -51,7 +62,9 @@ def most_likely(slope: Array, information: Array) -> tuple[float, Array, Array]:
     (b, q) and covariance (b, q, q) given the readings; slope (b, q) and information (b, q, q): of
     the logarithm of the likelihood at zero."""
     value, vectors = np.linalg.eigh(information)
-    value, along = np.maximum(value, 0.0), np.einsum("bqe,bq->be", vectors, slope)
+    told = value > SINGULAR * value.max(axis=1, initial=0.0, keepdims=True)
+    value = np.where(told, value, 0.0)
+    along = np.where(told, np.einsum("bqe,bq->be", vectors, slope), 0.0)
     variance = DEVIATIONS[:, None, None] ** 2
     narrower = 1 / (1 + variance * value)
     gain = np.sum(variance * narrower * along**2 + np.log(narrower), axis=2) / 2

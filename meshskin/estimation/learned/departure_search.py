@@ -84,7 +84,7 @@ def with_departures(
     departures that are not estimated. Taxels whose responses differ become two groups where the
     belief declares none.
     """
-    unlikely, failed, lost = set[str](), set(excluded), 0
+    unlikely, failed, lost = set[str](), set(excluded), set[str]()
     while True:
         found = _scores(effects)
         left = {name: score for name, (score, _) in found.items() if name not in unlikely}
@@ -96,8 +96,9 @@ def with_departures(
         gain = _objective(effects) - _objective(extended) if converged is not None else -np.inf
         if gain < -MAX_LOSS or not plausible(extended, name):
             failed.add(name)
-            lost += name in ELECTRONICS
-            if lost == MAX_LOST:
+            if name in ELECTRONICS and extended is not effects:
+                lost.add(name)
+            if len(lost) == MAX_LOST:
                 excluded = {*excluded, *ELECTRONICS}
                 failed |= excluded
             continue

@@ -31,8 +31,7 @@ to 0.04 (creep_twice there, Preisach's operator, two time constants) they were r
 
 
 def lags(fitted: FittedReadings) -> SmallEffects:
-    """The lags of the readings beyond those in `fitted`; where contacts have large errors, taxels
-    stay and the square of their displacement counts."""
+    """The lags of the readings beyond those in `fitted`."""
     electronics = Electronics(fitted.data, fitted.readings, fitted.points)
     pressure = np.maximum(fitted.mu - fitted.offset, 0.0)
     halves = (np.full(len(pressure), width * WIDTH * electronics.peak) for width in WIDTHS)
@@ -43,11 +42,8 @@ def lags(fitted: FittedReadings) -> SmallEffects:
     if score < LEAST_SCORE:
         return SmallEffects.none(len(fitted.points), score)
     moved = fitted.displaced(columns)
-    displacements, across = moved @ mean[0], moved @ covariance[0] @ np.swapaxes(moved, 1, 2)
-    if contact_leverage(fitted) > MAX_LEVERAGE:
-        across += displacements[:, :, None] * displacements[:, None]
-        displacements = np.zeros_like(displacements)
-    return SmallEffects(score, displacements, across)
+    across = moved @ covariance[0] @ np.swapaxes(moved, 1, 2)
+    return SmallEffects(score, moved @ mean[0], across)
 
 
 def contact_leverage(fitted: FittedReadings) -> float:

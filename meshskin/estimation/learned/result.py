@@ -35,7 +35,7 @@ from ..result import (
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .contact_correlations import alike_errors, fewer_contacts, force_scatter
 from .estimated_response import learned_response
-from .lags import LAGS, lags
+from .lags import LAGS, MAX_LEVERAGE, contact_leverage, lags
 from .random_effects import RandomEffects
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
@@ -67,8 +67,10 @@ def learned_result(
     tangential, factors, departures = _tangential(effects, covariance, fit, scale)
     placed = u.parametrization
     for name, errors in small.items():
-        departures[name] = errors.score
-        if errors.covariances.any():
+        if not errors.covariances.any():
+            departures[name] = errors.score
+        else:
+            departures[f"{name}, held to first order"] = errors.score
             tangential += errors.covariances
             factors.append(f"{name}, to first order")
             placed = placed.relinearized(data.body, -errors.displacements)
@@ -150,7 +152,7 @@ def _tangential(
         tangential = larger(tangential, own + fields.covariances)
         factors.append(ALIKE_CONTACTS)
     tangential *= _few_readings(effects)[:, None, None]
-    rejected = rejected_readings.displacements(fitted, effects.spread)
+    rejected = rejected_readings.displacements(fitted, effects.spread**-2.0, effects.spread)
     tangential += _leaks(effects) + rejected[:, :, None] * rejected[:, None]
     return tangential, factors, {**errors.beyond(added, own), **fields.departure}
 
@@ -161,7 +163,12 @@ def _small_effects(effects: RandomEffects, fit: GoodnessOfFit) -> dict[str, Smal
     made = {LAGS: lags, SHARES: further_shares}
     if fit.good is False:
         return {name: SmallEffects.none(len(effects.unknowns.nuisance)) for name in made}
-    return {name: make(effects.fitted()) for name, make in made.items()}
+    fitted = effects.fitted()
+    found = {name: make(fitted) for name, make in made.items()}
+    weak = [min(found, key=lambda name: found[name].score)]  # each passes for the other
+    if contact_leverage(fitted) > MAX_LEVERAGE:
+        weak = list(found)
+    return {name: one.held() if name in weak else one for name, one in found.items()}
 
 
 def _chi2(effects: RandomEffects) -> Array:

@@ -141,7 +141,7 @@ def _departures(
     if len(shown) > NAMED:
         named.append(f"{len(shown) - NAMED} weaker ones")
     words = (
-        f"the readings show {', '.join(named)} that the estimate does not model (scores in "
+        f"the readings show {', '.join(named)} beyond what the estimate models (scores in "
         f"standard deviations, limit {MIN_SCORE:g})"
     )
     if calibration.fit is not None and calibration.fit.good is not False:

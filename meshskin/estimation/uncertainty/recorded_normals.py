@@ -24,9 +24,9 @@ NORMAL_TURNS = -0.5, 0.0
 with the opposite sign, from which it is a doubt, and a failure: 1 in a sound log, -1 along a
 mirrored axis, the cosine of the angle in a frame that is rotated about the normal."""
 STRAYS = 0.05
-"""Part of the contacts, those with the normals farthest from the surface's, that do not tell how
+"""Part of the contacts, those with the normals farthest from the regression, that do not tell how
 both turn: on a patch where they turn by 0.1 rad, 9 of 3,184 contacts on the way over an edge, 80
-degrees off, halved the ratio; a mirrored axis shows in all contacts."""
+degrees off, halved the ratio."""
 MIN_TURN = 0.03
 """Spread of the surface's normals along a direction, rad, from which turns along it count."""
 
@@ -39,9 +39,8 @@ def findings(recording: Recording, data: Measurements) -> list[Finding]:
     if computed or len(rows) < verdict.MIN_CONTACTS:
         return []
     hit, normals = data.body.closest(recording.points[rows]), recording.normals[rows]
-    off = angles(hit, normals)
-    typical, most = float(np.degrees(np.median(off))), float(np.quantile(off, 1 - STRAYS))
-    turn, axis = _least_turn(hit.normal[off <= most], normals[off <= most])
+    typical = float(np.degrees(np.median(angles(hit, normals))))
+    turn, axis = least_turn(hit.normal, normals)
     if (level := level_of(-turn, NORMAL_TURNS)) != PASS:
         words = (
             f"from contact to contact, recorded normals turn {turn:.2g} times as the believed "
@@ -56,9 +55,9 @@ def findings(recording: Recording, data: Measurements) -> list[Finding]:
     return [] if level == PASS else [(level, words)]
 
 
-def _least_turn(surface: Array, normals: Array) -> tuple[float, Array]:
+def least_turn(surface: Array, normals: Array) -> tuple[float, Array]:
     """The least eigenvalue of the regression of recorded normals (m, 3) on those of the surface,
-    and its direction (3,); 1 where the surface's hardly turn."""
+    without STRAYS, and its direction (3,); 1 where the surface's hardly turn."""
     centred = surface - surface.mean(axis=0)
     value, vectors = np.linalg.eigh(centred.T @ centred / len(centred))
     basis = vectors[:, value > MIN_TURN**2]
@@ -66,5 +65,8 @@ def _least_turn(surface: Array, normals: Array) -> tuple[float, Array]:
         return 1.0, np.zeros(3)
     across, found = centred @ basis, (normals - normals.mean(axis=0)) @ basis
     slope = np.linalg.lstsq(across, found, rcond=None)[0]
+    off = np.linalg.norm(found - across @ slope, axis=1)
+    used = off <= np.quantile(off, 1 - STRAYS)
+    slope = np.linalg.lstsq(across[used], found[used], rcond=None)[0]
     least, directions = np.linalg.eigh((slope + slope.T) / 2)
     return float(least[0]), basis @ directions[:, 0]

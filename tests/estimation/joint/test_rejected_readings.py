@@ -44,7 +44,7 @@ def test_many_of_one_taxel_displace_it():
     left_out = np.zeros(TAXELS * EACH, dtype=bool)
     left_out[EACH * 7 : EACH * 7 + 6] = left_out[EACH * 9] = True
     made = fitted(left_out, 9.0 * left_out)
-    found = displacements(made, np.ones(TAXELS * EACH))
+    found = displacements(made, np.ones(TAXELS * EACH), np.ones(TAXELS * EACH))
     own = made.own[:, EACH * 7 : EACH * 8].T
     expected = np.linalg.lstsq(own, HUBER * (np.arange(EACH) < 6), rcond=None)[0]
     np.testing.assert_allclose(found[7], expected, rtol=1e-6)
@@ -56,7 +56,8 @@ def test_readings_count_by_their_spread():
     left_out = np.zeros(TAXELS * EACH, dtype=bool)
     left_out[EACH * 7 : EACH * 7 + 6] = True
     made = fitted(left_out, 9.0 * left_out)
-    found = displacements(made, np.full(TAXELS * EACH, 2.0))
+    spread = np.full(TAXELS * EACH, 2.0)
+    found = displacements(made, spread**-2, spread)
     weight = np.where(np.arange(EACH) < 6, 0.5, 1.0)
     own = made.own[:, EACH * 7 : EACH * 8].T * weight[:, None]
     expected = np.linalg.lstsq(own, HUBER * (np.arange(EACH) < 6), rcond=None)[0]
@@ -67,5 +68,15 @@ def test_readings_count_by_their_spread():
 def test_accidents_displace_few(fraction):
     rng = np.random.default_rng(3)
     left_out = rng.random(TAXELS * EACH) < fraction
-    found = displacements(fitted(left_out, 9.0 * left_out), np.ones(TAXELS * EACH))
+    even = np.ones(TAXELS * EACH)
+    found = displacements(fitted(left_out, 9.0 * left_out), even, even)
     assert np.sum(found.any(axis=1)) <= 1
+
+
+def test_displacements_grow_as_the_noise():
+    """Weights are relative to those of the readings that are kept; the noise cuts the residuals."""
+    left_out = np.zeros(TAXELS * EACH, dtype=bool)
+    left_out[EACH * 7 : EACH * 7 + 6] = True
+    made, even = fitted(left_out, 90.0 * left_out), np.ones(TAXELS * EACH)
+    once, five = (displacements(made, even, scale * even)[7] for scale in (1.0, 5.0))
+    np.testing.assert_allclose(five, 5 * once, rtol=1e-9)

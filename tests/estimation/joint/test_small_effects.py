@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshskin.estimation.joint.small_effects import DEVIATIONS, PARTS, most_likely
+from meshskin.estimation.joint.small_effects import DEVIATIONS, PARTS, SmallEffects, most_likely
 
 READINGS, EFFECTS = 60, 5
 
@@ -82,3 +82,20 @@ def test_effects_that_no_reading_determines_stay_unknown():
     assert score < 1e-6
     assert not mean.any()
     assert np.isfinite(covariance).all()
+
+
+def test_no_effect_follows_where_information_is_rounding():
+    """The slope along what no reading tells is rounding, too."""
+    _, alone, _ = most_likely(np.array([[3e3]]), np.array([[[1e4]]]))
+    slope, information = np.array([[3e3, 30.0]]), np.diag([1e4, 1e-7])[None]
+    _, mean, _ = most_likely(slope, information)
+    np.testing.assert_allclose(mean[0], [alone[0, 0], 0.0], rtol=1e-9)
+
+
+def test_held_effects_count_with_their_squares():
+    moved = np.array([[3e-5, 0.0], [1e-5, -2e-5]])
+    held = SmallEffects(5.0, moved, np.stack([np.eye(2) * 1e-10] * 2)).held()
+    assert held.score == 5.0
+    assert not held.displacements.any()
+    expected = 1e-10 * np.array([[[10, 0], [0, 1]], [[2, -2], [-2, 5]]])
+    np.testing.assert_allclose(held.covariances, expected, atol=1e-18)

@@ -8,7 +8,7 @@ import pytest
 from meshskin.estimation.joint.departures import TIMES, WIDTHS
 from meshskin.estimation.joint.small_effects import most_likely
 from meshskin.estimation.learned import lags as module
-from meshskin.estimation.learned.lags import LEAST_SCORE, MAX_LEVERAGE, contact_leverage, lags
+from meshskin.estimation.learned.lags import LEAST_SCORE, contact_leverage, lags
 
 READINGS, FAMILY = 400, len(TIMES) + len(WIDTHS)
 
@@ -48,7 +48,6 @@ def plays(monkeypatch):
         return SimpleNamespace(peak=1.0, play=lambda p, half: (p + next(columns), None, None))
 
     monkeypatch.setattr(module, "Electronics", electronics)
-    monkeypatch.setattr(module, "contact_leverage", lambda _: 0.0)
 
 
 def test_displacements_are_those_of_the_most_likely_shares():
@@ -67,17 +66,6 @@ def test_taxels_return_to_where_they_are():
     error = (np.linalg.pinv(fitted.places) @ fitted.level).reshape(2, 2)
     left = error - lags(fitted).displacements
     assert np.abs(left).max() < 0.3 * np.abs(error).max()
-
-
-def test_the_square_counts_where_contacts_have_large_errors(monkeypatch):
-    """How well these are determined depends on the lags."""
-    fitted = Fitted(0.05)
-    moved, leverage = lags(fitted), [2 * MAX_LEVERAGE]
-    monkeypatch.setattr(module, "contact_leverage", lambda _: leverage[0])
-    found = lags(fitted)
-    assert not found.displacements.any()
-    square = moved.displacements[:, :, None] * moved.displacements[:, None]
-    np.testing.assert_allclose(found.covariances, moved.covariances + square)
 
 
 def test_leverage_of_contacts():

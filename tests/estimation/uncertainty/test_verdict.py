@@ -15,6 +15,7 @@ from meshskin.estimation.calibrate import METHODS, calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.uncertainty import verdict
+from meshskin.estimation.uncertainty.recorded_normals import least_turn
 from meshskin.estimation.uncertainty.weighted_means import surrounded
 from meshskin.geometry.region import Cap
 from meshskin.recording.recording import UNCOMPARED, Recording
@@ -346,3 +347,18 @@ def test_errors_of_computing_are_no_doubt(scene):
     scene = scene()
     found = ms.calibrate(ms.simulate(scene), scene.belief())
     assert found.verdict.level == "PASS", found.verdict.reasons
+
+
+@pytest.mark.parametrize("share", [0.02, 0.06])
+def test_a_mirrored_axis_shows_on_a_patch_that_hardly_turns(share):
+    """Of the contacts on a nearly flat patch few turn, and these are as mirrored as the others."""
+    rng = np.random.default_rng(1)
+    tilt = rng.normal(0, 0.02, (2000, 2))
+    tilt[: int(share * len(tilt))] += rng.uniform(-0.4, 0.4, (int(share * len(tilt)), 2))
+    surface = np.column_stack([tilt, np.ones(len(tilt))])
+    surface /= np.linalg.norm(surface, axis=1)[:, None]
+    recorded = surface * [-1, 1, 1] + rng.normal(0, 2e-3, surface.shape)
+    turn, axis = least_turn(surface, recorded)
+    assert turn == pytest.approx(-1.0, abs=0.1)
+    assert abs(axis[0]) > 0.99
+    assert least_turn(surface, surface + rng.normal(0, 2e-3, surface.shape))[0] > 0.9
