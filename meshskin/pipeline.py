@@ -25,6 +25,7 @@ from .core.deadline import (
     PAGE_SECONDS,
     REPORT_SECONDS,
     Deadline,
+    in_time,
 )
 from .core.errors import CalibrationError, GraphError, OutOfTime
 from .core.progress import Progress, Stage
@@ -164,7 +165,8 @@ def _planned(job: _Job, scene: Scene, request: Request | None) -> _Planned:
     decided = choice = None
     if scene.budget is not None:
         with job.timer.stage("budget"):
-            decided = budget(scene, seed=job.seed, progress=job.deadline.hook(job.progress))
+            with in_time(f"{job.deadline.seconds:g} s", "the choice of effects for a budget"):
+                decided = budget(scene, seed=job.seed, progress=job.deadline.hook(job.progress))
             scene = decided.scene
     if request is not None:
         with job.timer.stage("pilot"):

@@ -1,6 +1,7 @@
 """The order of the wings, import circles, the public names, what an import loads, module sizes."""
 
 import ast
+import csv
 import subprocess
 import sys
 import tomllib
@@ -112,3 +113,11 @@ def test_the_text_of_each_mutant_occurs_once():
     for mutant in table["mutant"]:
         text = (PACKAGE.parent / mutant["file"]).read_text(encoding="utf-8")
         assert text.count(mutant["old"]) == 1, mutant
+
+
+def test_each_mutant_has_a_recorded_outcome():
+    """tests/mutation.py records it; see there."""
+    table = tomllib.loads(Path(__file__).with_name("mutants.toml").read_text(encoding="utf-8"))
+    with Path(__file__).with_name("mutation.csv").open(newline="", encoding="utf-8") as file:
+        recorded = [(row["file"], row["old"], row["new"]) for row in csv.DictReader(file)]
+    assert recorded == [(m["file"], m["old"], m["new"]) for m in table["mutant"]]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter, process_time
@@ -20,7 +22,7 @@ IMPORT_SECONDS = 0.9
 """The part of LEAST_SECONDS that importing the packages takes, s."""
 OVERTIME = 1.15
 """Part of its time that a run on wide lanes may take, and is refused beyond: a result a little late
-is better than none, and 1.2 are promised."""
+is better than none. `pipeline.run` and docs/guides/accuracy_cost.md say so."""
 TELLING = 0.5
 """Processor time, s, of a process from which its slowdown tells how long the rest takes."""
 REPORT_SECONDS, PAGE_SECONDS, FIGURE_SECONDS = 2.0, 0.3, 0.8
@@ -62,6 +64,20 @@ def pace() -> float:
         sum(k * k for k in range(10_000))
         times.append(process_time() - began)
     return min(times) / PACE_SECONDS
+
+
+@contextmanager
+def in_time(asked: str, work: str) -> Iterator[None]:
+    """Raise StudyError, with the time that was asked for, where `work` within raises OutOfTime."""
+    try:
+        yield
+    except OutOfTime as error:
+        raise StudyError(
+            "the time is too short",
+            value=asked,
+            limit=f"{work} takes longer",
+            remedy="give more seconds",
+        ) from error
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,8 @@ NAMES = (
     "indenter_offset", "sampling", "encoder", "gravity_error", "joint_friction", "force_sensor",
 )  # fmt: skip
 """Names of the effects of this package and of their modules, in the order of the signal: effects
-of one stage act in this order, followed by those of other packages."""
+of one stage act in this order, one derived from them in the place of its base, followed by those of
+other packages."""
 
 PressureTransform = Callable[[Array, Frames], Array]
 """(pressures (m, n), Pa, the next m frames in time) -> pressures (m, n), Pa."""
@@ -108,7 +109,7 @@ class BaseEffect:
 
     def __init_subclass__(cls, **facts: Any) -> None:
         if "name" not in vars(cls):  # a derived effect does not take the name of its base
-            facts["name"] = config.table_name(cls)
+            facts.setdefault("name", config.table_name(cls))
         for key, value in facts.items():
             setattr(cls, key, value)
         _check_name(cls, cls.name)

@@ -14,7 +14,8 @@ from .frames import EffectClock, Frames, PressureField
 
 
 def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """The effects in the order in which they act.
+    """The effects in the order in which they act; one that is derived from an effect of this
+    package, in the place of that.
 
     Raises ConfigError for an object that is not an effect, an effect given twice, an effect without
     one that it requires, and two effects that exclude each other; UnknownNameError for an unknown
@@ -38,10 +39,13 @@ def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:
         for other in effect.excludes:
             if other in counts:
                 raise ConfigError(f"effect {effect.name} excludes {other}", remedy="remove one")
-    rank = {name: k for k, name in enumerate(NAMES)}
-    return tuple(
-        sorted(effects, key=lambda e: (STAGES.index(e.stage), rank.get(e.name, len(rank))))
-    )
+    return tuple(sorted(effects, key=lambda e: (STAGES.index(e.stage), _place(type(e)))))
+
+
+def _place(kind: type) -> int:
+    """Place among NAMES of an effect class or of the first of its bases there; else behind all."""
+    names = (getattr(base, "name", None) for base in kind.__mro__)
+    return next((NAMES.index(name) for name in names if name in NAMES), len(NAMES))
 
 
 def build(effects: Iterable[Effect], context: Context, stage: str) -> tuple[Any, ...]:

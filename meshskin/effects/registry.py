@@ -36,6 +36,8 @@ def find(name: str) -> type[Effect]:
         return own[name]
     try:
         found = entry_points[name].load()
+    except ConfigError:  # of this package, about the class: it has its remedy
+        raise
     except Exception as error:  # the import of another package may raise anything
         raise ConfigError(
             f"the effect {name} of another package cannot be loaded: {_one_line(error)}",

@@ -40,6 +40,9 @@ READABLE = {
     "Pa": (1e-3, "kPa"),
 }
 """Factors and names of the units of `Calibration.parameter_words`."""
+PATCH = "patch stiffness"
+"""Name there of the factor on the believed E* that the size of the patches shows; it is the modulus
+where readings in a unit of their own tell no E*."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,9 +218,11 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
 
     def parameter_words(self, between: str = "+-") -> dict[str, str]:
         """`parameter_values` in words, in degrees, mm, ms and kPa; `between`: value and standard
-        deviation."""
+        deviation. The modulus of a learned response is named PATCH: it is not E*."""
         words = {}
         for name, (value, sigma, unit) in self.parameter_values.items():
+            if self.modulus is None and name.startswith("modulus"):
+                name = name.replace("modulus", PATCH, 1)
             factor, shown = READABLE.get(unit, (1.0, unit))
             words[name] = f"{factor * value:.4g} {between} {factor * sigma:.2g} {shown}".rstrip()
         return words

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import warnings
 from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import meshskin as ms
 from meshskin import effects
 from meshskin.core.errors import ConfigError, UnknownNameError
+from meshskin.effects import registry
 from meshskin.effects.gaussian_noise import GaussianNoise
 
 NEEDED = {
@@ -104,10 +106,14 @@ def test_an_effect_is_named_by_its_class_and_so_is_a_variant():
     class Variant(SlowEcho):
         stage = "geometry"
 
+    class Named(SlowEcho, name="my_name"):
+        pass
+
     @dataclass(frozen=True)
     class LouderNoise(GaussianNoise):
         pass
 
+    assert Named.name == "my_name"
     assert (SlowEcho.name, SlowEcho.stage, SlowEcho.cost) == ("slow_echo", "robot", 1e-9)
     assert (Variant.name, Variant.stage, Variant.cost) == ("variant", "geometry", 1e-9)
     assert effects.find("louder_noise") is LouderNoise
@@ -164,8 +170,12 @@ def test_effects_act_in_the_order_of_the_signal():
     class Late(GaussianNoise):
         name, stage = "late", "robot"
 
-    class Foreign(GaussianNoise):
-        name = "foreign"
+    class Foreign(effects.BaseEffect, stage="transducer", cost=0.0):
+        def bound(self, context):
+            return 0.0
+
+        def build(self, context):
+            return None
 
     inside = [
         effects.find(name)()
@@ -180,6 +190,21 @@ def test_effects_act_in_the_order_of_the_signal():
         "foreign",
         "late",
     ]
+
+
+def test_a_derived_effect_keeps_the_place_of_its_base():
+    """Whatever its own name, and through classes between."""
+
+    class WideCrosstalk(effects.find("crosstalk")):
+        pass
+
+    class WiderCrosstalk(WideCrosstalk):
+        pass
+
+    ends = effects.find("quantisation")(), effects.find("hysteresis")()
+    for kind in (WideCrosstalk, WiderCrosstalk):
+        found = effects.ordered((ends[0], kind(), ends[1]))
+        assert [type(effect) for effect in found] == [kind, type(ends[1]), type(ends[0])]
 
 
 @pytest.mark.parametrize("name", effects.NAMES)
@@ -296,6 +321,20 @@ def test_broken_entry_point_raises_an_error_of_one_line(toy, name, reason):
     with pytest.raises(ConfigError, match=reason) as caught:
         effects.find(name)
     assert "\n" not in str(caught.value)
+
+
+def test_an_entry_point_whose_class_has_a_shipped_name_is_told_one_remedy(tmp_path, monkeypatch):
+    text = "from meshskin.effects import BaseEffect\n\nclass Hysteresis(BaseEffect):\n    pass\n"
+    (tmp_path / "taken_effects.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    point = EntryPoint("taken", "taken_effects:Hysteresis", registry.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(registry, "_entry_points", lambda: {"taken": point})
+    with pytest.raises(ConfigError) as caught:
+        effects.find("taken")
+    assert str(caught.value) == (
+        "an effect hysteresis exists in meshskin, got the class Hysteresis of taken_effects; "
+        "rename the class"
+    )
 
 
 def test_broken_entry_points_are_left_out_with_a_warning(toy):

@@ -235,6 +235,9 @@ def test_parameters_in_natural_units(world, noisy):
     assert words["clock_offset"] == "37 +- 0.2 ms"
     assert words["indenter_position x"] == "-2 +- 0.1 mm"
     assert words["modulus"].endswith("kPa")
+    unknowns = {"modulus": (0.0, 0.1), "profile 3": (0.2, 0.01)}
+    words = replace(found, unknowns=unknowns, modulus=None).parameter_words()
+    assert words == {"patch stiffness": "1 +- 0.1", "profile 3": "0.2 +- 0.01"}
 
 
 def test_invalid_reports(world, noisy, tmp_path):

@@ -94,6 +94,18 @@ def test_an_offset_that_cannot_be_told_is_said(streams):
     assert log_frames(log_of(still, given), given).clock_compared
 
 
+def test_an_offset_that_no_calibration_can_estimate_is_taken_as_0(streams):
+    """Without joints: contact points of poses are where the stamps say."""
+    _, more = poses(turning=0.0)
+    log_map = LogMap((MAP.streams[2], StreamMap("/tip", "pose")))
+    frames = log_frames(log_of({**streams, **more}, log_map), log_map)
+    assert (frames.skin_log.clock_offset, frames.skin_log.clock_sigma) == (0.0, None)
+    assert not frames.clock_compared
+    (note,) = frames.notes
+    assert "do not tell the clock offset of the skin: it is taken as 0; for" in note
+    assert "URDF" not in note
+
+
 def test_frames_in_gaps_are_left_out(streams):
     times, angles = streams["/joint_states"]
     kept = (times < 5) | (times > 6)

@@ -111,6 +111,12 @@ def test_the_columns_of_a_wrench_are_proposed_together(tmp_path):
     np.testing.assert_array_equal(log.streams[1].values[:, 4], torque["ty"])
 
 
+def test_the_translation_of_a_pose_is_no_torque(tmp_path):
+    pose = dict.fromkeys(("tx", "ty", "tz", "qx", "qy", "qz", "qw"), np.ones(N))
+    log, _ = read_and_suggest(csv(tmp_path / "log.csv", COLUMNS | pose))
+    assert {s.name: s.fields for s in log.streams}["wrench"] == ("fx", "fy", "fz")
+
+
 def test_a_folder_of_files(tmp_path):
     csv(tmp_path / "arm.csv", {k: v for k, v in COLUMNS.items() if k[0] in "tq"})
     parquet(tmp_path / "skin.parquet", {k: v for k, v in COLUMNS.items() if k[0] in "ts"})

@@ -82,6 +82,7 @@ def test_errors_over_edges_are_described_where_contacts_tell_them():
 
 def test_a_page_says_what_was_learned(case, tmp_path):
     c = replace(case.calibration(), response=response(5e-3), modulus=None, modulus_sigma=None)
+    c = replace(c, unknowns={"modulus": (0.05, 0.02), "modulus of group 2": (0.3, 0.01)})
     metrics = {"modulus_pa": None, "response": c.response.metrics()}
     files = page.report(tmp_path / "report.html", calibration=c, body=None, metrics=metrics)
     html = files[0].read_text(encoding="utf-8")
@@ -92,6 +93,10 @@ def test_a_page_says_what_was_learned(case, tmp_path):
     assert (tmp_path / "figures" / "response.svg").exists()
     assert "None" not in html.split("<script")[0]
     assert "Effective modulus" not in html
+    assert "<td>patch stiffness</td>" in html
+    assert "1.051 ± 0.021" in html
+    assert "<td>patch stiffness of group 2</td>" in html
+    assert "1.35 ± 0.013" in html
 
 
 def test_a_page_of_the_contact_model_s_response_has_no_such_section(case, tmp_path):

@@ -135,6 +135,32 @@ def test_a_first_run_that_takes_all_the_time_is_refused(noisy):
         choice.choose(noisy, request, METHODS, 0, ends_in(-20.0))
 
 
+def test_a_first_run_may_take_15_percent_more_than_the_time(noisy, monkeypatch):
+    given = []
+
+    def never_ends(scene, seed, deadline, progress):
+        given.append(deadline)
+        raise OutOfTime("the time is used up")
+
+    monkeypatch.setattr(choice, "first_run", never_ends)
+    whole = Deadline(100.0)
+    with pytest.raises(StudyError, match="a first run on wide lanes takes longer"):
+        choice.choose(noisy, Request(seconds=100.0), METHODS, 0, whole)
+    assert given == [Deadline(pytest.approx(115.0), whole.began)]
+
+
+def test_a_budget_that_takes_all_the_time_is_refused(tmp_path, monkeypatch):
+    def never_ends(scene, seed, progress):
+        raise OutOfTime("the time is used up")
+
+    monkeypatch.setattr("meshskin.study.sensitivity.budget.budget", never_ends)
+    monkeypatch.setattr(Deadline, "check_run", lambda self, processor: None)
+    with pytest.raises(
+        StudyError, match=r"got 8 s, limit: .*budget takes longer; give more seconds"
+    ):
+        pipeline.run("sphere_noisy", tmp_path, request=Request(seconds=8.0), budget=1e-4)
+
+
 def test_the_time_of_a_first_run_is_bounded_by_the_size_of_the_skin(noisy):
     """Measured on this scene: 1.3 s of processor time; on twelve times the taxels at least 20 s."""
     assert 0.5 < first_run.least_seconds(noisy) < 1.3

@@ -42,8 +42,8 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     """The measurements of a recording under a belief.
 
     Contacts without force (approach) have no patch and are left out, with their readings; so are a
-    few corrupt readings (`unit_checks.corrupt_readings`) and those of taxels that are stuck for a
-    while (`unit_checks.stuck_readings`). Raises RecordingError for contacts that are not finite
+    few corrupt readings, those of taxels that are stuck for a while, and spikes of taxels that
+    nothing touches (`corrupt_readings.py`). Raises RecordingError for contacts that are not finite
     and for many such readings, taxels read twice in a contact; CalibrationError for no readings,
     wrong units, unknown taxel ids and headings of another shape; ContactError where the contact
     model leaves its range.

@@ -109,7 +109,7 @@ UNITS = (
     | dict.fromkeys(
         ("exponents", "aspect", "compression", "force_scatter", "hysteresis", "crosstalk"), ""
     )
-    | dict.fromkeys(("creep", "gain_drift", "offset_drift"), "")
+    | dict.fromkeys(("profile", "creep", "gain_drift", "offset_drift"), "")
 )
 """Units of global parameters that are neither lengths nor angles nor logarithms."""
 RADIUS_TOLERANCE = 0.03

@@ -34,6 +34,8 @@ JOINT_NAMES = ("q", "joint", "position", "angle")
 """Words of the names of columns that could be joint angles."""
 FORCES, TORQUES = ("fx", "fy", "fz"), ("tx", "ty", "tz")
 """Names of the columns of a wrench."""
+QUATERNION = ("qx", "qy", "qz", "qw")
+"""Names of columns beside which those of TORQUES are the translation of a pose."""
 
 
 def read(
@@ -137,7 +139,8 @@ def _groups(names: list[str]) -> dict[str, list[str]]:
     if contacts := contact_columns(names)[0]:
         groups[CONTACTS] = contacts
     if set(FORCES) <= set(names) - set(contacts):
-        groups[WRENCH] = [*FORCES, *(TORQUES if set(TORQUES) <= set(names) else ())]
+        torques = set(TORQUES) <= set(names) and not set(QUATERNION) <= set(names)
+        groups[WRENCH] = [*FORCES, *(TORQUES if torques else ())]
     known = {*groups, *(name for columns in groups.values() for name in columns)}
     for name in names:
         if name not in known and name.lower().partition("_")[0] not in TIME_NAMES:

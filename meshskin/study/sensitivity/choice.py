@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ...core.deadline import OVERTIME, REPORT_SECONDS, Deadline
+from ...core.deadline import OVERTIME, REPORT_SECONDS, Deadline, in_time
 from ...core.errors import OutOfTime, ReachError, StudyError
 from ...core.progress import Progress
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
@@ -66,16 +66,9 @@ def choose(
     ReachError if the arm cannot follow any path.
     """
     began = deadline.spent[0]
-    try:
-        late = replace(deadline, seconds=OVERTIME * deadline.seconds)
+    late = replace(deadline, seconds=OVERTIME * deadline.seconds)
+    with in_time(request.words, "a first run on wide lanes"):
         first = first_run(scene, seed, late, progress)
-    except OutOfTime as error:
-        raise StudyError(
-            "the time is too short",
-            value=request.words,
-            limit="a first run on wide lanes takes longer",
-            remedy="give more seconds",
-        ) from error
     left = deadline.left - REPORT_SECONDS * deadline.slowdown
     needed = WORTHWHILE * (deadline.spent[0] - began)
     if left < needed:
