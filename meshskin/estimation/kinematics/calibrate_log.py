@@ -93,7 +93,7 @@ def calibrate_log(
         if noise is None and not _exceeds(found, belief.noise_sigma):
             noise, moved, rounds = belief.noise_sigma, np.inf, rounds - 1
         late = heights.model.value("clock_offset", values)
-        if log.force is not None and abs(late) > TIMED:
+        if log.force is not None and abs(late) > TIMED and rounds < MAX_ROUNDS:
             used, clock, heights, x = _started(
                 log, kinematics, path, belief, reference, clock + late
             )

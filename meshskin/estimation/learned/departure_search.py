@@ -48,11 +48,6 @@ LEAST_GAIN = 0.5
 MAX_LOSS = 10.0
 """Largest fall of the log-likelihood by a departure whose optimum was found: the prior of its
 parameters costs less, and none of them above zero would cost nothing."""
-MAX_LOST = 2
-"""Departures of the electronics that end without an optimum or out of reach of their priors, from
-which no other of these is tried: their scores are those of errors of another kind, such as contact
-points that scatter by a fifth of their radius, on which 14 trials took 41 s of the 90 of the
-estimate, and none held."""
 GROUPS = "response groups"
 """Name, here, of a response of its own of some of the taxels."""
 WIDE_FORCES = 0.2
@@ -81,8 +76,9 @@ def with_departures(
     it does not where one does not converge, as with a response of another kind.
 
     effects: at its optimum; begin: the unknowns and deviations that it began with; excluded:
-    departures that are not estimated. Taxels whose responses differ become two groups where the
-    belief declares none.
+    departures that are not estimated, to which all of the electronics join once each of these has
+    ended without an optimum or out of reach of its prior. Taxels whose responses differ become two
+    groups where the belief declares none.
     """
     unlikely, failed, lost = set[str](), set(excluded), set[str]()
     while True:
@@ -98,9 +94,8 @@ def with_departures(
             failed.add(name)
             if name in ELECTRONICS and extended is not effects:
                 lost.add(name)
-            if len(lost) == MAX_LOST:
+            if len(lost) == len(ELECTRONICS):  # their scores are those of errors of another kind
                 excluded = {*excluded, *ELECTRONICS}
-                failed |= excluded
             continue
         # a small departure of this kind gains half its squared score; the drift's is a variance's
         if gain > (LEAST_GAIN * left[name] ** 2 / 2 if name != "drift" else 0.0):

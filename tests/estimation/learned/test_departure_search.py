@@ -42,11 +42,35 @@ def searched(monkeypatch, scores, trial):
     return departure_search.with_departures(begin, (None, None), ()), tried
 
 
-def test_after_two_lost_departures_of_the_electronics_no_other_of_them_is_tried(monkeypatch):
+@pytest.mark.parametrize("reach", [False, True])
+def test_lost_departures_of_the_electronics_are_not_tried_again(monkeypatch, reach):
+    """Once each of them was lost, also where another departure has been accepted."""
     scores = {"hysteresis": 20.0, "creep": 15.0, "crosstalk": 12.0, "drag": 8.0}
-    (_, left, ended), tried = searched(monkeypatch, scores, (None, 0.0))
-    assert tried == ["hysteresis", "creep", "drag"]
-    assert left == {"crosstalk": 12.0}
+    found = dict(scores)
+    tried = []
+
+    def with_departure(effects, begin, name, start):
+        tried.append(name)
+        lost = name != "drag" and not (reach and name == "creep")
+        if not lost:
+            del found[name]
+        objective = effects.objective - (0.0 if lost else 1e3)
+        return SimpleNamespace(objective=objective), begin, None if lost else True
+
+    monkeypatch.setattr(
+        departure_search,
+        "_scores",
+        lambda effects: {name: (score, np.zeros(1)) for name, score in found.items()},
+    )
+    monkeypatch.setattr(departure_search, "_with_departure", with_departure)
+    monkeypatch.setattr(departure_search, "_objective", lambda effects: effects.objective)
+    monkeypatch.setattr(departure_search, "plausible", lambda effects, name: True)
+    begin = SimpleNamespace(objective=0.0)
+    _, left, ended = departure_search.with_departures(begin, (None, None), ())
+    once = ["hysteresis", "creep", "crosstalk", "drag"]
+    again = ["hysteresis", "creep", "hysteresis", "crosstalk", "drag", "hysteresis", "crosstalk"]
+    assert tried == (again if reach else once)
+    assert set(left) == {"hysteresis", "crosstalk"} | ({"creep"} if not reach else set())
     assert ended
 
 
