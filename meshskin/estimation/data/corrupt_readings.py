@@ -25,7 +25,7 @@ is: equal readings of a sound taxel lie within the latter."""
 SPIKE_RATIO = 3.0
 """Reading, relative to those of its taxel in neighbouring contacts, from which these do not confirm
 it: over half of its reach a patch falls to .7 of its peak, by Hertz."""
-LEAST_SPIKE = 0.15
+LEAST_SPIKE = 0.1
 """Least spike, relative to the typical second strongest reading of a taxel: less displaces a taxel
 little."""
 MAX_SPIKES = 0.1
