@@ -79,6 +79,8 @@ than a hundredth."""
 MAX_LACKING = 0.02
 """Fraction of readings beyond the believed reach from which they are selected anew: a Hertz world
 has less, a cover with readings to the power 0.6 a fourth."""
+LAGGING = 0.5
+"""Displacement, in contact radii, up to which drag or a lag may be what displaces contacts."""
 MOVED = 0.02
 """Move of a taxel, in contact radii, from which it is at another optimum."""
 
@@ -122,7 +124,7 @@ def _attempt(
     effects = _begin(with_learned_response(data, start.points), live, start, stage)
     weight, begin = np.ones(len(data.pressure)), (effects.unknowns, effects.deviations)
     effects = first_estimate(effects)
-    if len(bad := _displaced(effects, recorded)):  # others would stand in for departures
+    if len(bad := _displaced(effects, recorded, LAGGING)):  # departures would stand in for them
         return recorded.without_contacts(bad), excluded
     effects, departures, ended = with_departures(effects, begin, excluded)
     frozen = _frozen(effects, live, weight)
@@ -160,12 +162,13 @@ def _attempt(
     return replace(found, departures=departures, jump=jump.shown)
 
 
-def _displaced(effects: RandomEffects, recorded: Measurements) -> np.ndarray:
-    """Rows of the contacts that are displaced far more than most; none where some of the
-    `recorded` ones were left out before."""
+def _displaced(effects: RandomEffects, recorded: Measurements, least: float = 0.0) -> np.ndarray:
+    """Rows of the contacts that are displaced far more than most, if any is by `least` contact
+    radii; none where some of the `recorded` ones were left out before."""
     displacements, touched = effects.unknowns.errors[:, :2], effects.probes.touched
     bad = displaced_contacts(displacements, touched, effects.data.radii)
-    return bad[:0] if len(recorded.misfitting) else bad
+    far = np.linalg.norm(displacements[bad], axis=1) > least * np.median(effects.data.radii)
+    return bad if far.any() and not len(recorded.misfitting) else bad[:0]
 
 
 def with_learned_response(data: Measurements, points: Array) -> Measurements:
