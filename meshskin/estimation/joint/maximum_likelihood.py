@@ -21,17 +21,11 @@ from ...core.errors import CalibrationError
 from ...core.progress import Stage
 from .. import chart
 from ..data.measurements import Measurements
-from ..result import (
-    EstimatorResult,
-    join_words,
-    name_rivals,
-)  # fmt: skip
+from ..result import EstimatorResult, join_words, name_rivals
 from ..trilateration import coactivation, trilaterate
 from .fault_detection import stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
-from .module_parametrization import (
-    align_modules,
-)
+from .module_parametrization import align_modules
 from .noise import with_estimated_noise
 from .optimum import Optimum
 from .outlier_rejection import reject_outliers, without_misfitting_contacts
