@@ -133,7 +133,7 @@ def invert_disc_mean(m: ArrayLike, s: ArrayLike, tolerance: float = 1e-10) -> Ar
 def _invert(m: Array, s: Array, tolerance: float) -> Array:
     out = np.where(m <= 0, 1.0 + s, 0.0)
     out[np.isnan(m) | np.isnan(s)] = np.nan
-    row = np.flatnonzero((m > 0) & (m < disc_mean(np.zeros_like(s), s)))
+    row = np.flatnonzero((m > 0) & (m < _compiled()(len(s), np.zeros_like(s), s)[0]))
     m, s = m[row], s[row]
     # below s - 1 the patch lies inside the disc and the mean is constant: no root there
     low, high = np.fmax(s - 1.0, 0.0), 1.0 + s
