@@ -241,9 +241,11 @@ class JointEstimator:
         return False
 
     def _solve_shared(self, status: str) -> str:
-        """Bring the global parameters to their optimum; returns IPOPT's status, the last one where
-        they are there already. Raises CalibrationError if they do not converge."""
+        """Bring the global parameters to their optimum, with taxels that reached none where they
+        are; returns IPOPT's status, the last one where they are there already. Raises
+        CalibrationError if they do not converge."""
         problem = self.problem
+        problem.resting = self.resting | (self.state.decrement > problem.inner_tolerance)
         reduced = problem.reduce(self.state)
         if reduced.decrement > self.tolerance:
             self.state, status = minimize(
@@ -262,7 +264,8 @@ class JointEstimator:
                 value=f"Newton decrement {reduced.decrement:.3g}, {status}",
                 limit=limit,
                 remedy="check the scale of pressures and forces, the contact model and the noise; "
-                "raise the iteration limit, calibrate(iterations=...)",
+                "raise the iteration limit, calibrate(iterations=...); or let the calibration "
+                'learn the response: contact="auto"',
             )
 
     def record(self, state: State) -> None:

@@ -97,7 +97,7 @@ class ReducedProblem:
     inner_tolerance: float = INNER_TOLERANCE
     """Newton decrement, in units of the cost, at which a group has converged."""
     resting: np.ndarray | None = None
-    """Groups (G,) bool that `solve_inner` leaves where they are; None: none."""
+    """Groups (G,) bool that stay where they are while s is optimized; None: none."""
     evaluations: float = 0.0
     """Evaluations of all groups in `solve_inner`; one of a group counts 1 / count."""
 
@@ -167,10 +167,10 @@ class ReducedProblem:
         )
 
     def reduce(self, state: State) -> SchurComplement:
-        """The reduced problem, at a state whose groups are at their optimum."""
+        """The reduced problem, at a state whose groups are at their optimum, or rest."""
         blocks = self.blocks(state)
         local = 3 + self.per_taxel
-        response = np.linalg.solve(blocks.hessian, blocks.coupling)
+        response = self._response(blocks)
         moments = state.moments
         data = moments.hessian[:, local:, local:].sum(axis=0)
         data -= np.einsum("gik,gil->kl", blocks.coupling, response)
@@ -202,11 +202,18 @@ class ReducedProblem:
 
     def solved_at(self, state: State, s: Array) -> State:
         """The state at other s (ks,) with the groups at their optimum, from a first-order guess."""
-        blocks = self.blocks(state)
-        shift = -np.linalg.solve(blocks.hessian, blocks.coupling) @ (s - state.s)
+        shift = -self._response(self.blocks(state)) @ (s - state.s)
         there = self.start(s, state.z + self.parametrization.limit_step(shift))
         self.solve_inner(there)
         return there
+
+    def _response(self, blocks: TaxelBlocks) -> Array:
+        """Derivatives (G, D, ks) of the optima of all groups by s, negative; 0 of those that rest:
+        a group that is not at its optimum has no derivative there."""
+        response = np.linalg.solve(blocks.hessian, blocks.coupling)
+        if self.resting is not None:
+            response[self.resting] = 0.0
+        return np.asarray(response)
 
     def covariances(self, state: State, reduced: SchurComplement) -> tuple[Array, Array]:
         """Covariances of the groups' unknowns (G, D, D), with s unknown, and of s (ks, ks)."""
