@@ -193,7 +193,7 @@ class JointEstimator:
             self.stage.step()
             self.record(self.state)
             if not self.frozen:
-                status = self._solve_shared(status)
+                status = self._solve_shared(status, self.resting)
             self._relinearize_here()
             moved = not self.frozen and self.data.parameters.move_contacts
             if moved and not self._decreases(here, steps):
@@ -240,12 +240,14 @@ class JointEstimator:
         self.unconverged = (decrement > self.tolerance)[problem.parametrization.group]
         return False
 
-    def _solve_shared(self, status: str) -> str:
-        """Bring the global parameters to their optimum, with taxels that reached none where they
-        are; returns IPOPT's status, the last one where they are there already. Raises
-        CalibrationError if they do not converge."""
+    def _solve_shared(self, status: str, resting: np.ndarray) -> str:
+        """Bring the global parameters to their optimum, with groups that rest or reached no optimum
+        where they are; returns IPOPT's status, the last one where they are there already.
+
+        resting: groups (G,) bool. Raises CalibrationError if they do not converge.
+        """
         problem = self.problem
-        problem.resting = self.resting | (self.state.decrement > problem.inner_tolerance)
+        problem.resting = resting | (self.state.decrement > problem.inner_tolerance)
         reduced = problem.reduce(self.state)
         if reduced.decrement > self.tolerance:
             self.state, status = minimize(
