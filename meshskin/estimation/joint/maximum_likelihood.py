@@ -137,7 +137,7 @@ def _converged(
     parametrization: Parametrization
     if data.belief.module_slots is None:
         charts = chart.charts_at(data.body, start.points[live], start.rotations[live])
-        parametrization = SurfaceParametrization(charts, step)
+        parametrization = SurfaceParametrization.of(data, live, charts, step)
     else:
         placed = np.isin(np.arange(len(data.ids)), live)
         parametrization, live = align_modules(data, start.points, placed, step)

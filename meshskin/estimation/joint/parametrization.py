@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from ...core.arrays import Array
+from ...core.arrays import Array, means_by_group
 from .. import chart
 from ..chart import Charts
 
@@ -21,6 +21,14 @@ if TYPE_CHECKING:
 
     from ...geometry.body import Body
     from ..data.global_parameters import GlobalParameters
+    from ..data.measurements import Measurements
+
+
+OTHER_SIDE = -0.5
+"""Cosine of the angle between the normals of a taxel and of its contacts below which it is on the
+other side of a wall: 120 degrees; the face of a rim is at 90."""
+HALVINGS = 12
+"""Halvings of a step, at most: to a few micrometres."""
 
 
 class Parametrization(Protocol):
@@ -68,6 +76,20 @@ class SurfaceParametrization:
     """Longest step, m."""
     size: int = 2
     """Coordinates of a taxel."""
+    side: Array | None = None
+    """Mean normals (n, 3) of the contacts that press the taxels, which stay on that side of the
+    body; None: on any."""
+
+    @classmethod
+    def of(
+        cls, data: Measurements, live: np.ndarray, charts: Charts, step: float
+    ) -> SurfaceParametrization:
+        """The taxels `live`, rows of `data.ids`, from their `charts`, each on the side of the
+        contacts that it reads."""
+        level = np.maximum(data.pressure - data.rest[data.taxel], 0.0)
+        normals = data.normals[data.contact]
+        side = means_by_group(normals, data.taxel, len(data.ids), level)
+        return cls(charts, step, side=side[live])
 
     @property
     def group(self) -> np.ndarray:
@@ -95,8 +117,25 @@ class SurfaceParametrization:
         return np.zeros(g), np.zeros((g, d)), np.zeros((g, d, d))
 
     def relinearized(self, body: Body, z: Array) -> SurfaceParametrization:
-        """Charts about the surface points closest to z (n, 2); the shape operators are kept."""
-        return replace(self, charts=chart.relinearized(body, self.charts, z))
+        """Charts about the surface points closest to z (n, 2); the shape operators are kept.
+
+        Steps that lead past the rim of a wall to its other side are halved: a contact presses what
+        lies in its tangent plane, so that the readings fit there as well.
+        """
+        charts = chart.relinearized(body, self.charts, z)
+        for _ in range(HALVINGS):
+            turned = self._on_other_side(charts.normals)
+            if not turned.any():
+                break
+            z = np.where(turned[:, None], z / 2, z)
+            charts = chart.relinearized(body, self.charts, z)
+        return replace(self, charts=charts)
+
+    def _on_other_side(self, normals: Array) -> np.ndarray:
+        """Taxels (n,) bool whose `normals` (n, 3) are those of the other side of a wall."""
+        if self.side is None:
+            return np.zeros(len(normals), dtype=bool)
+        return np.asarray(np.einsum("ni,ni->n", normals, self.side) < OTHER_SIDE)
 
     def points(self) -> Array:
         """Points (n, 3), m, at z = 0."""

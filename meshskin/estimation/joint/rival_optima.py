@@ -247,7 +247,7 @@ def problem_of(
     several times, here and below: copies of a taxel at several points."""
     whole = estimator.problem.parametrization
     assert isinstance(whole, SurfaceParametrization)
-    own = replace(whole, charts=whole.charts[rows]).about(estimator.data.body, points)
+    own = replace(whole, charts=whole.charts[rows], side=None).about(estimator.data.body, points)
     likelihood = Likelihood(estimator.data, readings)
     return ReducedProblem(likelihood, own, estimator.problem.contacts, estimator.inner_tolerance)
 

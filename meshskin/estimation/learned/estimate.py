@@ -242,9 +242,8 @@ def _begin(
     for column, (name, unit) in enumerate({"gain": 1.0, "offset": data.sigma}.items()):
         if name in start.taxel_unknowns:
             nuisance[:, column] = np.nan_to_num(start.taxel_unknowns[name][live, 0]) / unit
-    unknowns = Unknowns(
-        SurfaceParametrization(charts, STEP), nuisance, np.zeros((len(data.points), 3)), s
-    )
+    places = SurfaceParametrization.of(data, live, charts, STEP)
+    unknowns = Unknowns(places, nuisance, np.zeros((len(data.points), 3)), s)
     weight = np.ones(len(data.pressure))
     readings = select(data, live, charts.points, charts.normals, 0.0, weight, np.ones(len(live)))
     noise = 1.0 if data.belief.noise_sigma is not None else _first_noise(start, data)

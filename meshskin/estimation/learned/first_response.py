@@ -64,7 +64,7 @@ def _part(effects: RandomEffects, taxels: np.ndarray) -> RandomEffects:
         "taxel": np.repeat(np.arange(len(taxels)), count),
         "source": np.where(source < 0, -1, np.searchsorted(kept, source)),
     }
-    there = replace(u.parametrization, charts=u.parametrization.charts[taxels])
+    there = replace(u.parametrization, charts=u.parametrization.charts[taxels], side=None)
     unknowns = replace(
         u, parametrization=there, nuisance=u.nuisance[taxels], errors=u.errors[contacts]
     )
