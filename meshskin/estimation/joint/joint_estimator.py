@@ -266,8 +266,7 @@ class JointEstimator:
                 value=f"Newton decrement {reduced.decrement:.3g}, {status}",
                 limit=limit,
                 remedy="check the scale of pressures and forces, the contact model and the noise; "
-                "raise the iteration limit, calibrate(iterations=...); or let the calibration "
-                'learn the response: contact="auto"',
+                "raise the iteration limit, calibrate(iterations=...)",
             )
 
     def record(self, state: State) -> None:
