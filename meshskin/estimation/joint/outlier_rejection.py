@@ -16,6 +16,7 @@ from .joint_estimator import JointEstimator
 from .likelihood import Likelihood
 from .parametrization import SurfaceParametrization
 from .pressure import CENSORED, OBSERVED
+from .readings import Readings
 
 MAX_REMAINING = 0.5
 """Fraction of the misfitting taxels that may still misfit with gains and offsets, for these to be
@@ -105,6 +106,17 @@ def displaced_contacts(displacements: Array, touched: np.ndarray, radii: Array) 
     )
     bad = np.flatnonzero(touched & (size > limit))
     return bad if len(bad) <= MAX_DISPLACED * touched.sum() else bad[:0]
+
+
+def minority(contacts: np.ndarray, readings: Readings) -> np.ndarray:
+    """Those of the rows `contacts` that are no majority of what any taxel reads: without these a
+    taxel would be placed by noise, and what displaces all contacts of a place is no accident."""
+    read = readings.kind == OBSERVED
+    chosen = read & np.isin(readings.contact, contacts)
+    n = len(readings.starts) - 1
+    count, lost = (np.bincount(readings.taxel[k], minlength=n) for k in (read, chosen))
+    most = lost > faults.MAX_TAXEL_OUTLIERS * count
+    return np.setdiff1d(contacts, readings.contact[chosen & most[readings.taxel]])
 
 
 def try_gain_offset(estimator: JointEstimator, suspects: np.ndarray) -> JointEstimator:

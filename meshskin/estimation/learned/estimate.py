@@ -38,7 +38,7 @@ from ..joint.contacts import LinearizedContacts
 from ..joint.joint_estimator import JointEstimator
 from ..joint.jump import largest_jump
 from ..joint.likelihood import Likelihood
-from ..joint.outlier_rejection import displaced_contacts, reject_outliers
+from ..joint.outlier_rejection import displaced_contacts, minority, reject_outliers
 from ..joint.parametrization import SurfaceParametrization, Unknowns
 from ..joint.pressure import CENSORED, OBSERVED
 from ..joint.readings import Readings, select
@@ -167,6 +167,7 @@ def _displaced(effects: RandomEffects, recorded: Measurements, least: float = 0.
     radii; none where some of the `recorded` ones were left out before."""
     displacements, touched = effects.unknowns.errors[:, :2], effects.probes.touched
     bad = displaced_contacts(displacements, touched, effects.data.radii)
+    bad = minority(bad, effects.selected[0])
     far = np.linalg.norm(displacements[bad], axis=1) > least * np.median(effects.data.radii)
     return bad if far.any() and not len(recorded.misfitting) else bad[:0]
 

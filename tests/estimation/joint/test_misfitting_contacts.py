@@ -5,6 +5,8 @@ import pytest
 
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.joint.fault_detection import misfitting_contacts
+from meshskin.estimation.joint.outlier_rejection import minority
+from meshskin.estimation.joint.pressure import OBSERVED
 from meshskin.estimation.joint.readings import Readings
 
 
@@ -47,3 +49,15 @@ def test_misfitting_contacts_are_those_that_chance_does_not_explain():
     r[[8, 108]] = np.sqrt(13.9 / 2) * np.array([1, -1])
     assert misfitting_contacts(readings, r, 1.0).tolist() == [8]
     assert misfitting_contacts(readings, 2 * r, 2.0).tolist() == [8]
+
+
+def test_contacts_that_are_most_of_what_a_taxel_reads_are_not_outlying():
+    taxel = np.repeat([0, 1], 10)
+    contact = np.concatenate([np.arange(10), np.arange(5, 15)])
+    rows, ones = np.arange(20), np.ones(20)
+    readings = Readings(
+        contact, taxel, ones, np.full(20, OBSERVED), rows, ones, ones, np.array([0, 10, 20])
+    )
+    assert minority(np.array([0, 1, 2]), readings).tolist() == [0, 1, 2]
+    region = np.arange(8, 15)  # 2 of the 10 that the first taxel reads, 7 of the second's
+    assert minority(np.append(region, 0), readings).tolist() == [0]
