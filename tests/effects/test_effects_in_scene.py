@@ -32,9 +32,9 @@ IDLE = ("gaussian_noise", "elliptic_patch")
 
 @pytest.fixture(scope="module")
 def small():
-    """The noisy sphere with 19 taxels, read at 50 Hz, which takes 0.3 s to explore."""
+    """The noisy sphere with 12 taxels, read at 50 Hz, which takes 0.2 s to explore."""
     scene = ms.Scene.load("sphere_noisy")
-    skin = ms.Skin.cover(scene.body, spacing=5e-3, count=19, region=Cap((0.0, 0.0, -1.0)))
+    skin = ms.Skin.cover(scene.body, spacing=5e-3, count=12, region=Cap((0.0, 0.0, -1.0)))
     return scene.with_(skin=skin, readout=replace(scene.readout, rate=50.0))
 
 
@@ -44,7 +44,7 @@ def plain(small):
 
 
 def make(name):
-    """An effect with its defaults, or OPTIONS where these do not show with 19 taxels at 50 Hz."""
+    """An effect with its defaults, or OPTIONS where these do not show with 12 taxels at 50 Hz."""
     return effects.find(name)(**OPTIONS.get(name, {}))
 
 
@@ -131,7 +131,7 @@ def test_no_effect_depends_on_the_batches(small, monkeypatch):
         k for k in effects.NAMES if k not in (*IDLE, "cover_fabric")
     ]  # the cover is slow and stateless
     whole = run(small, *names)
-    monkeypatch.setattr(simulate, "FRAME_CELLS", 19 * 40)
+    monkeypatch.setattr(simulate, "FRAME_CELLS", 12 * 40)
     parts = run(small, *names)
     for name in ("time", "points", "normals", "force"):
         np.testing.assert_allclose(
