@@ -127,7 +127,7 @@ def by_start(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dic
     for seed in seeds:
         data = gather(ms.press(scene, points, seed=seed), scene.belief())
         right = trilaterate.least_squares(data)
-        best = maximum_likelihood.estimate(data).points
+        best = maximum_likelihood.optimum(data).result().points
         measured = displacements.SharedContacts(data, right).displacements()
         graph = measured.graph(right, data.ids)
         least = graph.solve().cost
@@ -183,7 +183,7 @@ def optimum_shares(
             return 0.0
 
     return {
-        "joint": share(lambda: maximum_likelihood.estimate(data, start).points),
+        "joint": share(lambda: maximum_likelihood.optimum(data, start).result().points),
         "plain": share(lambda: steps_only(data, scene, start)),
     }
 

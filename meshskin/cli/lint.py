@@ -31,18 +31,14 @@ def command(options: argparse.Namespace) -> int:
 
     table = files.read(options.file, options.part)
     defects = check(table)
-    count = int(table.is_taxel().sum())
-    print(f"{options.file.name}: {table.format}, {count} taxels, {count_text(len(defects))}")
+    count, found = int(table.is_taxel().sum()), len(defects)
+    words = {0: "no defect found", 1: "1 defect"}.get(found, f"{found} defects")
+    print(f"{options.file.name}: {table.format}, {count} taxels, {words}")
     for defect in defects:
         print()
         for line in lines(defect, None if options.all else SHOWN):
             print(line)
     return 1 if defects else 0
-
-
-def count_text(count: int) -> str:
-    """The number of defects as text."""
-    return {0: "no defect found", 1: "1 defect"}.get(count, f"{count} defects")
 
 
 def lines(defect: Defect, shown: int | None) -> Iterator[str]:

@@ -22,7 +22,18 @@ from ..core.arguments import check_name
 from ..core.arrays import Array
 from ..core.errors import ContactError
 from .patch import Patch, Patches
-from .problem import MAX_LAYER_RATIO, MAX_WIDTH, ContactProblem, check_ratio, width_ratio
+from .problem import (
+    HOLLOW,
+    MAX_LAYER_RATIO,
+    MAX_WIDTH,
+    NOT_FINITE,
+    THIN,
+    UNEQUAL,
+    WIDE,
+    ContactProblem,
+    check_ratio,
+    width_ratio,
+)
 
 MODELS = ("hertz", "elliptic", "layered", "field")
 """Names of the contact models; all but "field" (module boundary_elements) are modules here."""
@@ -167,31 +178,50 @@ class ContactModel:
         indenter_radius: float,
         effective_modulus: float,
     ) -> NDArray[np.bool_]:
-        """Whether contacts (k,) at `curvature` (k, 2), 1/m, are in the range of the model.
+        """Whether contacts (k,) are in the range of the model; arguments as in
+        `exceeded_limits`."""
+        limits = self.exceeded_limits(force, curvature, indenter_radius, effective_modulus)
+        return np.asarray(limits == "", dtype=bool)
+
+    def exceeded_limits(
+        self,
+        force: float | Array,
+        curvature: Array,
+        indenter_radius: float,
+        effective_modulus: float,
+    ) -> NDArray[np.object_]:
+        """The limit of the model (k,) that contacts at `curvature` (k, 2), 1/m, exceed, in words;
+        "" for those in its range.
 
         `force` is a number or (k,); other arguments as in `patches`. `solve` raises an error that
-        names the limit exactly where this is False.
+        begins with these words exactly where there are some.
         """
         pairs = np.sort(np.asarray(curvature, dtype=float), axis=1)
         force = np.broadcast_to(np.asarray(force, dtype=float), len(pairs))
+        relative = pairs + 1 / indenter_radius
+        even = relative[:, 1] <= _module(self.name).MAX_CURVATURE_RATIO * relative[:, 0]
+        beyond = (~np.isfinite(pairs).all(axis=1), ~(relative[:, 0] > 0), ~even)
+        words = (NOT_FINITE, HOLLOW, UNEQUAL.format(self.name))
+        limits = np.select(beyond, words, "").astype(object)
+        rows = np.flatnonzero(limits == "")
         try:
             law = self._law
-        except ContactError:  # a layer outside the table
-            return np.zeros(len(pairs), dtype=bool)
-        relative = pairs + 1 / indenter_radius
-        valid = np.isfinite(pairs).all(axis=1) & (relative[:, 0] > 0)
-        max_ratio = _module(self.name).MAX_CURVATURE_RATIO
-        valid[valid] = relative[valid, 1] <= max_ratio * relative[valid, 0]
+        except ContactError as error:  # a layer outside the table
+            limits[rows] = error.what
+            return limits
+        given = indenter_radius, effective_modulus
         if self.name == "layered":
-            chi = law.chi(force[valid], pairs[valid], indenter_radius, effective_modulus)
-            valid[valid] = chi <= _module(self.name).MAX_CHI
-        found = law.patches(force[valid], pairs[valid], indenter_radius, effective_modulus)
+            thin = ~(law.chi(force[rows], pairs[rows], *given) <= _module(self.name).MAX_CHI)
+            limits[rows[thin]] = _module(self.name).TOO_THIN
+            rows = rows[~thin]
+        found = law.patches(force[rows], pairs[rows], *given)
         axes = np.stack([found.first, found.second], axis=1)
-        narrow = width_ratio(axes, pairs[valid], indenter_radius) <= MAX_WIDTH
+        wide = ~(width_ratio(axes, pairs[rows], indenter_radius) <= MAX_WIDTH)
+        limits[rows[wide]] = WIDE.format(self.name)
         if self.thickness is not None and self.name != "layered":
-            narrow &= axes.max(axis=1) <= MAX_LAYER_RATIO * self.thickness
-        valid[valid] = narrow
-        return valid
+            thin = axes.max(axis=1) > MAX_LAYER_RATIO * self.thickness
+            limits[rows[thin & ~wide]] = THIN.format(self.name)
+        return limits
 
     @property
     def _law(self) -> Any:

@@ -45,6 +45,7 @@ CHIS, POISSONS = 21, 15
 """Chebyshev points of the table in chi / (1 + chi) and in Poisson's ratio, 0 to 0.5."""
 MAX_CURVATURE_RATIO = 3.0
 """Largest B/A: there, p_0 differs by up to 3 % and the axes by up to 2 % from those of `field`."""
+TOO_THIN = "the layer is too thin for the table of layered"
 TABLE = Path(__file__).with_name("layered.csv")
 """The table: chi, Poisson's ratio, and the four factors."""
 _MAX_ARGUMENT = MAX_CHI / (1 + MAX_CHI)
@@ -98,7 +99,7 @@ class BondedLayer:
         chi = size / self.thickness
         if functions(size) is np and not (largest := float(np.max(chi, initial=0.0))) <= MAX_CHI:
             raise ContactError(
-                "the layer is too thin for the table of layered",
+                TOO_THIN,
                 value=f"a_Hertz/thickness = {largest:.3g}",
                 limit=f"{MAX_CHI:g}",
                 remedy=f"lower the force, or use a thicker layer; {FIELD_REMEDY}",

@@ -93,21 +93,10 @@ class Indentation:
 
         Strings, "" where it is valid.
         """
-        valid = self.model(name).is_valid(
-            force=self.force,
-            curvature=curvature,
-            indenter_radius=self.indenter_radius,
-            effective_modulus=self.material.effective_modulus,
+        limits = self.model(name).exceeded_limits(
+            self.force, curvature, self.indenter_radius, self.material.effective_modulus
         )
-        rows = np.flatnonzero(~valid)
-        reasons = np.full(len(curvature), "", dtype=object)
-        pairs, inverse = np.unique(np.round(curvature[rows], 2), axis=0, return_inverse=True)
-        for k, pair in enumerate(pairs):
-            try:
-                self.patch(name, pair)
-            except ContactError as error:
-                reasons[rows[inverse.ravel() == k]] = f"{name} contact does not hold: {error.what}"
-        return reasons
+        return np.where(limits == "", "", f"{name} contact does not hold: " + limits)
 
     def first_valid_model(self, curvature: Array) -> str:
         """The first of BATCHED that is valid at as many of (k, 2) curvatures, 1/m, as any is.

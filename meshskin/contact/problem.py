@@ -29,6 +29,12 @@ relative curvature of a valid contact."""
 
 FIELD_REMEDY = 'contact.solve(model="field") holds for a single contact'
 """Remedy in messages: scenes and estimators do not accept the model "field"."""
+NOT_FINITE = "curvature must be finite"
+HOLLOW = "the hollow of the body is tighter than the indenter: no single contact point"
+UNEQUAL = "the relative principal curvatures are too unequal for {}"
+WIDE = "the contact is too wide for the contact model {}"
+THIN = "the layer is too thin for the half-space of {}"
+"""Limits of a contact in words; {}: the name of a model."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +72,7 @@ class ContactProblem:
                 limit="one or two numbers",
             )
         if not np.isfinite(self.curvature_pair).all():
-            raise ContactError("curvature must be finite", value=self.curvature)
+            raise ContactError(NOT_FINITE, value=self.curvature)
         relative_curvatures(self.curvature_pair, self.indenter_radius)
 
     @cached_property
@@ -90,7 +96,7 @@ class ContactProblem:
         ratio = float(width_ratio(axes, np.sort(self.curvature_pair), self.indenter_radius))
         if ratio > MAX_WIDTH:
             raise ContactError(
-                f"the contact is too wide for the contact model {model}",
+                WIDE.format(model),
                 value=f"a/R = {ratio:.3g} (1/R^2 = 1/r^2 - k/r + k^2)",
                 limit=MAX_WIDTH,
                 remedy=f"lower the force, or raise the modulus or the radii; {FIELD_REMEDY}",
@@ -100,7 +106,7 @@ class ContactProblem:
         """Raise ContactError where the layer under the patch is too thin for a half-space."""
         if self.thickness is not None and axes[0] > MAX_LAYER_RATIO * self.thickness:
             raise ContactError(
-                f"the layer is too thin for the half-space of {model}",
+                THIN.format(model),
                 value=f"a/thickness = {axes[0] / self.thickness:.3g}",
                 limit=MAX_LAYER_RATIO,
                 remedy='use contact = "layered", or omit thickness to assume a half-space',
@@ -116,7 +122,7 @@ def check_ratio(ratio: float, limit: float, model: str) -> None:
             "layered": f"{smaller}; {FIELD_REMEDY}",
         }
         raise ContactError(
-            f"the relative principal curvatures are too unequal for {model}",
+            UNEQUAL.format(model),
             value=f"ratio {ratio:.4g}",
             limit=f"{limit:g}",
             remedy=remedies.get(model, smaller),
@@ -169,7 +175,7 @@ def relative_curvatures(curvature: Any, indenter_radius: Any) -> tuple[Any, Any]
         )
     if not (np.all(first > 0) and np.all(second > 0)):
         raise ContactError(
-            "the hollow of the body is tighter than the indenter: no single contact point",
+            HOLLOW,
             value=f"curvature {min(np.min(k1), np.min(k2)):.4g} 1/m",
             limit=f"> {-np.min(tip):.4g} 1/m",
             remedy="use a smaller indenter",

@@ -173,11 +173,6 @@ def _draw_body(ax: Axes, view: View, vertices: Array, faces: NDArray[np.intp]) -
     ax.add_collection(polygons, autolim=False)
 
 
-def _evenly(count: int) -> Any:
-    """A slice of at most MOST_DOTS rows of `count`."""
-    return slice(None, None, max(1, -(-count // MOST_DOTS)))
-
-
 def _draw_dots(
     ax: Axes,
     view: View,
@@ -192,7 +187,8 @@ def _draw_dots(
     good = np.isfinite(points).all(axis=1)
     if values is not None:
         good &= np.isfinite(values)
-    rows = np.flatnonzero(good)[_evenly(int(good.sum()))]
+    rows = np.flatnonzero(good)
+    rows = rows[:: max(1, -(-len(rows) // MOST_DOTS))]
     xy = view.flat(points[rows])
     shown = np.ones(len(rows)) if normals is None else normals[rows] @ view.axes[2]
     alpha = np.where(shown >= -1e-9, 1.0, HIDDEN)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.arrays import Array
 from ..core.config import quantity
 from ..core.errors import ConfigError
 from .base import BaseEffect, Context, FrameTransform
@@ -76,9 +75,7 @@ def contact_point_gain(context: Context) -> float:
     q = context.postures()
     if not len(q):
         return np.inf
-
-    def contact_point(q: Array) -> Array:
-        return context.body.closest(context.indenter_centres(q)).point
-
-    jacobian = context.joint_jacobian(contact_point, q)
+    jacobian = context.joint_jacobian(
+        lambda q: context.body.closest(context.indenter_centres(q)).point, q
+    )
     return float(np.linalg.norm(jacobian, 2, axis=(1, 2)).max())

@@ -163,20 +163,14 @@ def _start(body: Body, sites: Array) -> tuple[Array, list[Array]]:
 
 
 def both_ways(
-    body: Body, start: Array, direction: Array, step: float, coverage: Coverage | None = None
-) -> Array:
-    """Points (k, 3) of the geodesic through `start` in both directions.
-
-    It ends where it closes, meets a border, has been outside the region, or on earlier lanes, for
-    longer than the region's width, or is four times as long as the body.
-    """
-    return _all_both_ways(body, start, [direction], step, coverage)[0]
-
-
-def _all_both_ways(
-    body: Body, start: Array, directions: list[Array], step: float, coverage: Coverage | None
+    body: Body, start: Array, directions: list[Array], step: float, coverage: Coverage | None = None
 ) -> list[Array]:
-    """As `both_ways`, of several directions, whose geodesics are followed together."""
+    """Points (k, 3) of the geodesics through `start` in each direction and against it.
+
+    One ends where it closes, meets a border, has been outside the region, or on earlier lanes, for
+    longer than the region's width, or is four times as long as the body. They are followed
+    together.
+    """
     ways = np.concatenate([directions, np.negative(directions)])
     traces = _traces(body, start, ways, step, coverage)
     out = []
@@ -223,8 +217,8 @@ def _first_lane(
     geodesic that closes, as others would wind round the body.
     """
     if coverage.width <= ENCIRCLING * body.surface.scale:
-        return both_ways(body, start, directions[0], step, coverage)
-    ways = _all_both_ways(body, start, directions, step, coverage)
+        return both_ways(body, start, directions[:1], step, coverage)[0]
+    ways = both_ways(body, start, directions, step, coverage)
     closing = (p for p in ways if np.linalg.norm(p[-1] - p[0]) < 1.5 * step)
     return next(closing, ways[0])
 
@@ -298,16 +292,12 @@ def _offset(body: Body, lane: list[Closest], shift: float, step: float) -> list[
             "ij,ij->i", chain_along, chain_along
         )
         for run in runs(forward & (moved[first:end] > MIN_ADVANCE * abs(shift))):
-            resampled += _resampled(points[run], step)
+            if lengths_along(points[run])[-1] >= 2 * step:
+                resampled.append(evenly(points[run], step, 2))
     if not resampled:
         return []
     at = body.surface.nearest(np.concatenate(resampled))
     return at.split([len(points) for points in resampled])
-
-
-def _resampled(points: Array, step: float) -> list[Array]:
-    """The polyline (k, 3) with samples evenly about `step`, m, apart; none if it is short."""
-    return [] if lengths_along(points)[-1] < 2 * step else [evenly(points, step, 2)]
 
 
 def lengths_along(points: Array) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.arguments import check_integer, check_real, check_vector, check_vectors, repr_short
+from ..core.arguments import check_integer, check_path, check_real, check_vector, check_vectors
 from ..core.arrays import Array
 from ..core.errors import MeshError
 from ..core.notebook import Card
@@ -180,7 +179,7 @@ class Body(Value, Card):
         made and listed in `.repairs`; other defects raise MeshError with the value and the remedy.
         The names of parts in the file are kept in `.patches`.
         """
-        path = _path(path, "a mesh")
+        path = check_path("a mesh file", path, error=MeshError)
         raw = mesh_file.read(path, mesh_file.unit(path, units))
         return cls._from_triangles(path.stem, raw, open)
 
@@ -210,7 +209,8 @@ class Body(Value, Card):
         parents, as `Arm.from_urdf` does; `kind`: "visual" or "collision"; `open`: as of `load`.
         Several meshes of the link become one. Raises MeshError, UnknownNameError.
         """
-        raw = link_mesh.read(_path(path, "a URDF file"), link, folders, kind)
+        path = check_path("a URDF file", path, error=MeshError)
+        raw = link_mesh.read(path, link, folders, kind)
         return cls._from_triangles(link, raw, open)
 
     @classmethod
@@ -327,13 +327,6 @@ _PRIMITIVES: dict[type, Callable[..., Body]] = {
     primitives.Torus: Body.torus,
 }
 """exact surface -> function that meshes it, of the fields of the surface and a number of faces"""
-
-
-def _path(path: str | Path, of: str) -> Path:
-    """The path of a file. Raises MeshError for another type."""
-    if not isinstance(path, str | os.PathLike):
-        raise MeshError(f"the path of {of} must be a string or a path", value=repr_short(path))
-    return Path(path)
 
 
 def _check_sizes(faces: int, **lengths: float) -> None:

@@ -183,17 +183,12 @@ def _model_errors(data: ReportData) -> list[str]:
     return steps
 
 
-def is_noiseless(data: ReportData) -> bool:
-    """Whether the stated uncertainty is that of ideal data."""
-    return is_ideal(data.calibration)
-
-
 def _noise(data: ReportData) -> list[str]:
     """What to do about the stated uncertainty."""
     s = data.finite_sigma_mm
     if not len(s):
         return []
-    if is_noiseless(data):
+    if is_ideal(data.calibration):
         return [
             "These data contain almost no noise: simulate with the noise of the sensor to know "
             "what error to expect."

@@ -57,11 +57,6 @@ def _mesh(vertices: Array, faces: ArrayLike) -> dict[str, Any]:
     }
 
 
-def _separate_lines(starts: Array, ends: Array) -> Array:
-    """Separate segments as one polyline (3 n, 3), interrupted by NaN."""
-    return np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, 3)
-
-
 def _scatter(name: str, points: Array, mode: str, **style: Any) -> dict[str, Any]:
     return {"type": "scatter3d", "mode": mode, "name": name, **_xyz(points), **style}
 
@@ -89,10 +84,12 @@ def frames(poses: Array, length: float, name: str, visible: bool = True) -> list
     """Red, green and blue axes of poses (n, 4, 4), with one legend entry."""
     good = poses[np.isfinite(poses).all(axis=(1, 2))]
     good = good[:: -(-len(good) // _MAX_FRAMES) or 1]
+    at = good[:, :3, 3]
+    gap = np.full_like(at, np.nan)  # between separate lines
     return [
         _scatter(
             name,
-            _separate_lines(good[:, :3, 3], good[:, :3, 3] + length * good[:, :3, k]),
+            np.stack([at, at + length * good[:, :3, k], gap], axis=1).reshape(-1, 3),
             "lines",
             legendgroup=name,
             showlegend=k == 0,

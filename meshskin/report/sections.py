@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..estimation.uncertainty.metrics import is_ideal
 from . import advice, evidence, learned_response, scene3d
 from .data import METHOD_DESCRIPTIONS, PAPER_REFERENCE, ReportData, method_name
 from .figure_set import ACCURACY_TIME, RESIDUALS
@@ -142,7 +143,7 @@ def _numbers(data: ReportData) -> list[str]:
     if rows:
         blocks.append(table(("estimated with the taxels", "value ± 1 sigma"), rows, numeric=(1,)))
     shown = {*SHOWN_ELSEWHERE, *data.errors, "unknowns"}
-    if advice.is_noiseless(data):  # errors of arithmetic have no covariance
+    if is_ideal(data.calibration):  # errors of arithmetic have no covariance
         shown |= {"nees", "nees_band"}
     rest = flatten({k: v for k, v in data.metrics.items() if k not in shown})
     if rest:
@@ -285,7 +286,7 @@ def _result(data: ReportData) -> str:
         )
     mean = significant(data.main_errors["mean"])
     text = f"{found} taxels were located with a mean error of {mean} mm"
-    if advice.is_noiseless(data):
+    if is_ideal(data.calibration):
         text += ", from readings without noise"
     ratio = advice.bound_ratio(data)
     if ratio is not None:

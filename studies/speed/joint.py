@@ -30,6 +30,8 @@ import results
 from meshskin.contact.problem import effective_modulus
 
 if TYPE_CHECKING:
+    from meshskin.estimation.data.measurements import Measurements
+    from meshskin.estimation.result import EstimatorResult
     from meshskin.recording.recording import Recording
     from meshskin.scene.belief import Belief
 
@@ -117,7 +119,11 @@ def measure(taxels: int, contact: str = "hertz", learned: bool = False) -> dict[
     from meshskin.estimation.learned import estimate as learned_estimate
     from meshskin.estimation.trilateration import trilaterate
 
-    estimate = learned_estimate.estimate if learned else maximum_likelihood.estimate
+    def estimate(data: Measurements, start: EstimatorResult | None = None) -> EstimatorResult:
+        if learned:
+            return learned_estimate.estimate(data)
+        return maximum_likelihood.optimum(data, start).result()
+
     believed = "learned" if learned else contact
     if taxels <= 1000:  # the small sizes as in a running program: kernel loaded, libraries imported
         small, belief, _ = world(60, seed=1, contact=contact)
@@ -128,7 +134,7 @@ def measure(taxels: int, contact: str = "hertz", learned: bool = False) -> dict[
     data = gather(recording, belief)
     start = None if learned else trilaterate.least_squares(data)  # part of a learned estimate
     started = perf_counter() - clock
-    found = maximum_likelihood.estimate(data, start) if start else learned_estimate.estimate(data)
+    found = estimate(data, start)
     cpu, total = process_time() - cpu, perf_counter() - clock
     build = started + found.seconds.get("readings", 0.0)
     error = np.linalg.norm(found.points - truth, axis=1)

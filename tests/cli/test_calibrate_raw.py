@@ -89,6 +89,7 @@ def test_counts_need_no_modulus_and_no_unit(scene, learned):
     assert re.search(r"Readings have noise of [\d.]+ counts", page)
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_the_baseline_stands_beside_the_estimate_from_counts(scene, log, known, tmp_path, learned):
     asked = ["calibrate", str(log), *known, "--raw", "--method", "centroid"]
     assert cli.main([*asked, "--out", str(tmp_path / "baseline")]) == 0
@@ -132,6 +133,7 @@ def test_options_that_mean_nothing_for_raw_readings(log, known, tmp_path, capsys
     assert re.search(re.escape(words), lines[0])
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_scene_gives_the_body_but_no_pressures(log, tmp_path):
     """The scene's threshold in Pa is above every count."""
     out = tmp_path / "out"

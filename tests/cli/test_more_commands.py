@@ -86,11 +86,11 @@ def test_init_opens_a_mesh_with_borders_and_refuses_a_strange_size(mesh, capsys,
 def test_init_asks_for_no_more_taxels_than_fit(mesh, tmp_path, monkeypatch):
     monkeypatch.setattr(init, "RADII", (5e-3,))
     mesh = mesh.copy()
-    mesh.apply_scale(0.25)  # an area for 86 taxels, of which fewer are laid
+    mesh.apply_scale(0.15)  # an area for 31 taxels, of which fewer are laid
     mesh.export("small.stl")
     assert cli.main(["init", "small.stl"]) == 0
     asked = tomllib.loads((tmp_path / "small.toml").read_text())["skin"]["count"]
-    assert 40 < asked < 80
+    assert 15 < asked < 31
     assert len(ms.Scene.load("small.toml").skin) == asked
 
 

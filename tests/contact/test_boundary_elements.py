@@ -42,7 +42,7 @@ def by_tamaas(gap, side, force):
 @pytest.mark.parametrize("parabolic", [True, False])
 @pytest.mark.parametrize("pair", PAIRS[:2])
 def test_against_tamaas(pair, parabolic):
-    n, exact = 160, contact.solve("elliptic", curvature=pair, **CASE)
+    n, exact = 112, contact.solve("elliptic", curvature=pair, **CASE)
     side = 2.3 * exact.semi_axes[0]
     x = ((np.arange(n) + 0.5) / n - 0.5) * side
     gap = boundary_elements.sphere_gap(x[:, None], x[None], tuple(sorted(pair)), 0.01, parabolic)

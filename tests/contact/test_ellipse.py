@@ -18,9 +18,9 @@ def by_rings(x, y, a, b, s, exponent):
             q = ((x + t * np.cos(phi)) / a) ** 2 + ((y + t * np.sin(phi)) / b) ** 2
             return max(1 - q, 0.0) ** exponent
 
-        return t * quad(height, 0, 2 * np.pi, limit=300, epsabs=1e-7)[0]
+        return t * quad(height, 0, 2 * np.pi, limit=300, epsabs=1e-6)[0]
 
-    return quad(ring, 0, s, limit=300, epsabs=1e-6)[0] / (np.pi * s**2)
+    return quad(ring, 0, s, limit=300, epsabs=1e-5)[0] / (np.pi * s**2)
 
 
 @pytest.mark.parametrize("exponent", [0.5, 0.8])

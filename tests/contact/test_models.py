@@ -218,26 +218,30 @@ def test_derivatives_by_the_position_of_the_indenter_on_a_sphere(model):
 @pytest.mark.parametrize("poisson", [-0.2, 0.45])
 @pytest.mark.parametrize("thickness", [None, 3e-3, 0.05])
 @pytest.mark.parametrize("model", contact.BATCHED)
-def test_is_valid_exactly_where_solve_succeeds(model, thickness, poisson):
+def test_is_valid_exactly_where_solve_succeeds_and_its_error_begins_with_the_limit(
+    model, thickness, poisson
+):
     rng = np.random.default_rng(2)
     curvature = rng.uniform(-120, 300, (300, 2)) * 10.0 ** rng.uniform(-3, 0, (300, 1))
     curvature[0] = np.nan
     curvature[1] = curvature[1, 0]
     for force, modulus in [(1.0, 0.5e6), (3.0, 0.05e6)]:
-        case = {"force": force, "indenter_radius": 0.01}
         soft = {"modulus": modulus, "poisson": poisson, "thickness": thickness}
-        many = contact.ContactModel(model, poisson, thickness).is_valid(
-            curvature=curvature, effective_modulus=modulus / (1 - poisson**2), **case
-        )
         each = []
         for pair in curvature:
             try:
-                contact.solve(model, curvature=tuple(pair), **case, **soft)
-            except ContactError:
-                each.append(False)
+                contact.solve(
+                    model, force=force, indenter_radius=0.01, curvature=tuple(pair), **soft
+                )
+            except ContactError as error:
+                each.append(error.what)
             else:
-                each.append(True)
-        assert np.array_equal(many, each)
+                each.append("")
+        law = contact.ContactModel(model, poisson, thickness)
+        case = {"force": force, "curvature": curvature, "indenter_radius": 0.01}
+        case["effective_modulus"] = modulus / (1 - poisson**2)
+        assert law.exceeded_limits(**case).tolist() == each
+        assert law.is_valid(**case).tolist() == [words == "" for words in each]
 
 
 @pytest.mark.parametrize(("thickness", "name"), [(None, "elliptic"), (5e-4, "layered")])

@@ -36,21 +36,27 @@ def test_a_stage_counts_to_its_end_whatever_was_usual():
     Stage().step()  # without a hook
 
 
+@pytest.fixture(scope="module")
+def pressed(noisy):
+    """300 contacts of the noisy sphere."""
+    near = np.random.default_rng(0).normal(scale=12e-3, size=(300, 3))
+    return ms.press(noisy, noisy.skin.positions.mean(axis=0) + near, seed=1)
+
+
+@pytest.mark.filterwarnings("ignore::meshskin.core.errors.LeftOutWarning")
 @pytest.mark.parametrize("method", ["joint", "posegraph"])
-def test_a_calibration_tells_its_steps_and_can_be_interrupted_in_each(
-    noisy_recording, noisy, method
-):
+def test_a_calibration_tells_its_steps_and_can_be_interrupted_in_each(pressed, noisy, method):
     heard, belief = Heard(), noisy.belief()
-    found = ms.calibrate(noisy_recording, belief, method, progress=heard)
+    found = ms.calibrate(pressed, belief, method, progress=heard)
     steps = [done for _, done, _ in heard]
     assert steps == sorted(steps)
     assert len(set(steps)) > 2
     assert heard[-1][1] == heard[-1][2]
-    silent = ms.calibrate(noisy_recording, belief, method)
-    assert (found.positions == silent.positions).all()
+    silent = ms.calibrate(pressed, belief, method)
+    np.testing.assert_array_equal(found.positions, silent.positions)
     for most in (0, max(steps) - 1):
         with pytest.raises(KeyboardInterrupt):
-            ms.calibrate(noisy_recording, belief, method, progress=Heard(most))
+            ms.calibrate(pressed, belief, method, progress=Heard(most))
 
 
 def test_an_interrupted_simulation_leaves_no_file(sphere, tmp_path):
@@ -108,8 +114,9 @@ def test_a_layout_tells_its_rings_and_projections():
         ms.Skin.cover(BODY, spacing=20e-3, progress=Heard(3))
 
 
-def test_planned_touches_are_told_one_by_one(noisy_recording, noisy):
-    found, heard = ms.calibrate(noisy_recording, noisy.belief(), "trilateration"), Heard()
+@pytest.mark.filterwarnings("ignore::meshskin.core.errors.LeftOutWarning")
+def test_planned_touches_are_told_one_by_one(pressed, noisy):
+    found, heard = ms.calibrate(pressed, noisy.belief(), "trilateration"), Heard()
     planned = found.next_contacts(4, progress=heard)
     assert heard == [("next contacts", k, 5) for k in range(6)]
     assert planned == found.next_contacts(4)
@@ -120,8 +127,9 @@ def test_planned_touches_are_told_one_by_one(noisy_recording, noisy):
     assert design == ms.next_touches(noisy.skin, noisy.belief(), 2, ids)
 
 
-def test_an_interrupted_report_leaves_the_page_before_it(noisy_recording, noisy, tmp_path):
-    found = ms.calibrate(noisy_recording, noisy.belief(), "centroid")
+@pytest.mark.filterwarnings("ignore::meshskin.core.errors.LeftOutWarning")
+def test_an_interrupted_report_leaves_the_page_before_it(pressed, noisy, tmp_path):
+    found = ms.calibrate(pressed, noisy.belief(), "centroid")
     page = tmp_path / "report.html"
     page.write_text("before")
     with pytest.raises(KeyboardInterrupt):

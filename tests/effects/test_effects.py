@@ -282,11 +282,14 @@ def toy(tmp_path, monkeypatch):
     sys.modules.pop("toy_effects", None)
 
 
-def test_effect_of_another_package(toy, sphere, recording):
+def test_effect_of_another_package(toy, sphere):
     twice = effects.from_table({"kind": "toy", "factor": 3.0})
     assert "toy" not in effects.NAMES
-    found = ms.simulate(sphere.with_(effects=(twice,)), seed=1)
-    np.testing.assert_array_equal(found.pressure, 3.0 * recording.pressure)
+    plain, found = (
+        ms.press(scene, sphere.skin.positions[:5], seed=1)
+        for scene in (sphere, sphere.with_(effects=(twice,)))
+    )
+    np.testing.assert_array_equal(found.pressure, 3.0 * plain.pressure)
     with pytest.raises(UnknownNameError, match="did you mean toy"):
         effects.find("toyy")
 

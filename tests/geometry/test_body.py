@@ -137,7 +137,7 @@ def test_a_faceless_or_missing_file_is_refused(tmp_path):
 
 @pytest.mark.parametrize("path", [None, 3, b"ball.stl"])
 def test_a_path_of_another_type_is_refused(path):
-    with pytest.raises(MeshError, match="path of a mesh must be a string or a path, got"):
+    with pytest.raises(MeshError, match="a mesh file must be a path, got"):
         Body.load(path, units="mm")
 
 

@@ -209,10 +209,12 @@ def test_a_belief_without_a_reference_force_takes_the_recordings(world, noisy, c
 def test_an_iteration_limit_of_one(world, noisy):
     far = gather(noisy[0], world.belief(0.01, 0.05, young=2.5 * world.young))
     with pytest.raises(CalibrationError, match=r"did not converge.*raise the iteration limit"):
-        maximum_likelihood.estimate(far, iterations=1)
+        maximum_likelihood.optimum(far, iterations=1).result()
     with pytest.raises(CalibrationError, match=r"calibrate\(iterations=\.\.\.\)"):
         calibrate(noisy[0], far.belief, iterations=1)
-    assert maximum_likelihood.estimate(far).modulus == pytest.approx(world.modulus, rel=0.01)
+    assert maximum_likelihood.optimum(far).result().modulus == pytest.approx(
+        world.modulus, rel=0.01
+    )
 
 
 def test_ipopt_in_restoration_failure(world, noisy, monkeypatch):
@@ -221,13 +223,13 @@ def test_ipopt_in_restoration_failure(world, noisy, monkeypatch):
     monkeypatch.setattr(
         joint_estimator, "minimize", lambda *a: (whole(*a)[0], "Restoration_Failed")
     )
-    found = maximum_likelihood.estimate(data)  # at the optimum, whatever the status says
+    found = maximum_likelihood.optimum(data).result()  # at the optimum, whatever the status says
     assert found.modulus == pytest.approx(world.modulus, rel=0.01)
     monkeypatch.setattr(
         joint_estimator, "minimize", lambda problem, state, *a: (state, "Restoration_Failed")
     )
     with pytest.raises(CalibrationError, match=r"did not converge.*Restoration_Failed.*check the"):
-        maximum_likelihood.estimate(data)
+        maximum_likelihood.optimum(data).result()
 
 
 def test_a_modulus_far_off(world, noisy, clean):

@@ -73,8 +73,10 @@ def test_a_wall_calibrates_as_well_as_a_table(walled, noisy, noisy_recording):
     assert errors[0].mean() < 1.1 * errors[1].mean()
 
 
-def test_what_is_turned_as_a_whole_does_the_same(sphere, recording, monkeypatch):
+def test_what_is_turned_as_a_whole_does_the_same(sphere, monkeypatch):
     """Arm, indenter and gravity by one rotation: the same angles, torques, forces, readings."""
+    sphere = sphere.with_(exploration=replace(sphere.exploration, lane_spacing=0.012))
+    recording = ms.simulate(sphere, seed=1)
     place = replace(sphere.indenter, direction=(0.48, -0.64, 0.6))
     turn, shift = place.rotation, np.array([0.2, -0.5, 0.3])
     base = transform(turn, shift)

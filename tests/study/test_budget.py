@@ -23,13 +23,13 @@ KINDS = ("body_pose", "cover_fabric", "gaussian_noise")
 
 @pytest.fixture(scope="module")
 def scene():
-    """A sphere of 10 taxels that moves without an arm, read at 50 Hz, and some effects."""
+    """A sphere of 10 taxels that moves without an arm, read at 20 Hz, and some effects."""
     sphere = ms.Scene.load("sphere")
     skin = ms.Skin.cover(sphere.body, spacing=5e-3, count=10, region=Cap((0.0, 0.0, -1.0)))
     return sphere.with_(
         skin=skin,
         loop=replace(sphere.loop, mode="quasi_static"),
-        readout=replace(sphere.readout, rate=50.0),
+        readout=replace(sphere.readout, rate=20.0),
         candidates=tuple(effects.find(name)() for name in KINDS),
     )
 

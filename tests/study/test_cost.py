@@ -17,17 +17,17 @@ from meshskin.study.sensitivity.knobs import single_changes
 
 @pytest.fixture(scope="module")
 def scene():
-    """A small skin on the paper's sphere, with its noise, read at 50 Hz."""
+    """A small skin on the paper's sphere, with its noise, read at 20 Hz."""
     whole = ms.Scene.load("sphere_noisy")
     region = Cap(direction=(0.0, 0.0, -1.0))
     skin = ms.Skin.cover(whole.body, spacing=6e-3, count=14, region=region)
-    return whole.with_(skin=skin, readout=replace(whole.readout, rate=50.0))
+    return whole.with_(skin=skin, readout=replace(whole.readout, rate=20.0))
 
 
 @pytest.fixture(scope="module")
 def costs(scene):
     """One of its knobs."""
-    return cost(scene, knobs=("dt",), targets=(0.1,))
+    return cost(scene, knobs=("dt",), finer=2, targets=(0.1,))
 
 
 @pytest.fixture(scope="module")

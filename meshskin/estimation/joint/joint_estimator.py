@@ -77,7 +77,7 @@ class JointEstimator:
         stage: Stage | None = None,
     ) -> None:
         """live: rows of the taxels that are estimated; weight (k,): of the readings; iterations,
-        tolerance: as of `maximum_likelihood.estimate`; shared (ks,): values at which the global
+        tolerance: as of `maximum_likelihood.optimum`; shared (ks,): values at which the global
         parameters stay, by default they are estimated; nuisance (n, .): start of the taxels';
         stage: its steps are the linearizations.
         """

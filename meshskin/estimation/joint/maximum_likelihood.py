@@ -38,19 +38,6 @@ USUAL_STEPS = 4
 
 
 @single_threaded()
-def estimate(
-    data: Measurements,
-    start: EstimatorResult | None = None,
-    iterations: int = MAX_ITERATIONS,
-    tolerance: float = NEWTON_TOLERANCE,
-    trilaterated: EstimatorResult | None = None,
-    stage: Stage | None = None,
-) -> EstimatorResult:
-    """The most likely unknowns with their statistics; arguments and errors as `optimum`."""
-    return optimum(data, start, iterations, tolerance, trilaterated, stage).result()
-
-
-@single_threaded()
 def optimum(
     data: Measurements,
     start: EstimatorResult | None = None,
@@ -125,7 +112,7 @@ def _converged(
     stage: Stage,
 ) -> tuple[JointEstimator, np.ndarray, np.ndarray]:
     """The converged estimate without outlying readings, the reasons (n,) of the taxels that are not
-    determined, and the rows of those that were started again; arguments as `estimate`.
+    determined, and the rows of those that were started again; arguments as `optimum`.
     """
     near = coactivation.without_distant_readings(data)
     if start is None:

@@ -19,7 +19,8 @@ from .triangles import Triangles
 def read(path: Path, scale: float | None = None) -> Triangles:
     """The scene of a file, m, whose named parts are its geometries and materials.
 
-    `scale`: the unit in m; None: that of the file. Raises MeshError.
+    `scale`: the unit in m; None: that of the file. Raises MeshError without pycollada, and what it
+    raises for a damaged file.
     """
     try:
         from collada import Collada, common
@@ -28,16 +29,10 @@ def read(path: Path, scale: float | None = None) -> Triangles:
             f"the mesh {path.name!r} is a Collada file, which needs pycollada",
             remedy='pip install pycollada, or "meshskin[robots]"',
         ) from error
-    try:
-        # of what is not triangles, elements may be unknown and references broken
-        unknown = [common.DaeUnsupportedError, common.DaeBrokenRefError]
-        document = Collada(str(path), ignore=unknown)
-        found = Triangles.joined(list(_parts(document)))
-    except (common.DaeError, ValueError, KeyError, IndexError, TypeError, OSError) as error:
-        reason = " ".join(f"{error}".split()) or type(error).__name__
-        raise MeshError(
-            f"{path.name} cannot be read", value=reason[:200], remedy="copy or export it again"
-        ) from error
+    # of what is not triangles, elements may be unknown and references broken
+    unknown = [common.DaeUnsupportedError, common.DaeBrokenRefError]
+    document = Collada(str(path), ignore=unknown)
+    found = Triangles.joined(list(_parts(document)))
     unit = document.assetInfo.unitmeter or 1.0 if scale is None else scale
     return Triangles(unit * found.vertices, found.faces, found.names)
 

@@ -13,7 +13,6 @@ Source: Serra, "Image Analysis and Mathematical Morphology" (1982), closing by a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from ...core.arrays import Array, Index
 from ...core.errors import MeshError
 from ..mesh.dual_mesh import surface_nets
+from ..mesh.triangles import Triangles
 from .surface import Facets, Surface
 
 LEVELS = 4
@@ -71,10 +71,9 @@ def closed_offset(
             limit=MAX_NODES, remedy="give a larger feature or resolution",
         )  # fmt: skip
 
-    def from_body(points: Array) -> Array:
-        return np.abs(surface.nearest(points).distance)
-
-    away = _outside(_band(from_body, low, blocks, step, reach) - reach)
+    from_body = _band(lambda p: np.abs(surface.nearest(p).distance), low, blocks, step, reach)
+    away = _outside(from_body - reach)
+    last = np.array(away.shape) - 1
     centres = _on_grid(away, low, step)
     hit = surface.nearest(centres[0])
     centres = (hit.point + reach * _unit(centres[0] - hit.point, hit.normal), centres[1])
@@ -82,9 +81,8 @@ def closed_offset(
 
     def from_centres(points: Array) -> Array:
         near = rolling.nearest(points)
-        outside = (
-            away[tuple(np.round((points - low) / step).astype(int).T.clip(0, _last(away)))] > 0
-        )
+        node = np.round((points - low) / step).astype(int).clip(0, last)
+        outside = away[tuple(node.T)] > 0
         return np.where(outside, -1.0, 1.0) * np.linalg.norm(points - near, axis=1)
 
     depth = _band(from_centres, low, blocks, step, feature)
@@ -124,7 +122,7 @@ class _Rolling:
     ) -> None:  # fmt: skip
         self._surface, self._thickness, self._feature = surface, thickness, feature
         self._tolerance = tolerance
-        self._centres = Facets(_Triangles(*centres))
+        self._centres = Facets(Triangles(*centres))
 
     def nearest(self, points: Array) -> Array:
         """The places (n, 3) of the ball's centre that are nearest to points (n, 3)."""
@@ -141,12 +139,6 @@ class _Rolling:
         inward = _unit(points - centre, -normal)
         exact = hit.point + self._thickness * normal
         return np.where(touches[:, None], exact, centre + self._feature * inward)
-
-
-@dataclass(frozen=True)
-class _Triangles:
-    vertices: Array
-    faces: Index
 
 
 def _band(
@@ -184,11 +176,6 @@ def _on_grid(values: NDArray[np.float32], low: Array, step: float) -> tuple[Arra
     """The level set 0 of values at the nodes of a grid: vertices, m, and faces."""
     vertices, faces = surface_nets(values)
     return low + step * vertices, faces
-
-
-def _last(values: NDArray[np.float32]) -> Index:
-    """The last node (3, 1) of a grid."""
-    return np.array(values.shape)[:, None] - 1
 
 
 def _relaxed(vertices: Array, faces: Index) -> Array:

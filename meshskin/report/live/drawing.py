@@ -130,7 +130,8 @@ class Drawing:
         self._show_estimate(snapshot)
         self._show_contact(snapshot.row)
         self.place(snapshot.row)
-        self._show_next(snapshot.next_point)
+        touch = snapshot.status.next_touch
+        self._show_next(None if touch is None else np.asarray(touch.point))
 
     def _show_estimate(self, snapshot: Snapshot) -> None:
         sigma = marks.position_sigma(snapshot.covariances)

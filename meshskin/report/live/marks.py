@@ -83,11 +83,11 @@ def disc(sides: int = 24) -> tuple[Array, NDArray[np.intp]]:
     return np.asarray(made.vertices), np.asarray(made.faces)
 
 
-def ring(width: float = 0.12, sides: int = 32) -> tuple[Array, NDArray[np.intp]]:
+def ring() -> tuple[Array, NDArray[np.intp]]:
     """Vertices and faces of a ring of outer radius 1, z its normal."""
     from trimesh.creation import annulus
 
-    made = annulus(r_min=1.0 - width, r_max=1.0, height=0.1, sections=sides)
+    made = annulus(r_min=0.88, r_max=1.0, height=0.1, sections=32)
     return np.asarray(made.vertices), np.asarray(made.faces)
 
 

@@ -54,12 +54,6 @@ class Snapshot:
         covariances = _in_body_frame(found)
         return replace(self, positions=found.positions, covariances=covariances, status=status)
 
-    @property
-    def next_point(self) -> Array | None:
-        """Where to touch next (3,), body frame, m; None where it is not known."""
-        touch = self.status.next_touch
-        return None if touch is None else np.asarray(touch.point)
-
 
 def _in_body_frame(found: OnlineCalibration | Calibration) -> Array:
     """Covariances (n, 3, 3), m^2, of the positions; NaN where a taxel is not determined."""

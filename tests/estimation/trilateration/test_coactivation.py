@@ -17,7 +17,7 @@ def data(world):
 
 @pytest.fixture(scope="module")
 def best(data, world):
-    return maximum_likelihood.estimate(data)
+    return maximum_likelihood.optimum(data).result()
 
 
 def errors(world, fit):
@@ -38,7 +38,7 @@ def test_no_pressure_enters(world, data):
 
 
 def test_the_joint_estimate_reaches_its_optimum_from_there(world, data, best):
-    found = maximum_likelihood.estimate(data, coactivation.contact_centroid_start(data))
+    found = maximum_likelihood.optimum(data, coactivation.contact_centroid_start(data)).result()
     assert np.allclose(found.points, best.points, atol=1e-8)
 
 
@@ -53,7 +53,7 @@ def test_the_contact_centroid_replaces_a_failed_trilateration(world, data, best)
     same = np.flatnonzero(np.all(start.points == alone.points, axis=1))
     assert list(same) == [4, 9]
     assert start.found.all()
-    found = maximum_likelihood.estimate(data, trilaterated=failed)
+    found = maximum_likelihood.optimum(data, trilaterated=failed).result()
     assert np.allclose(found.points, best.points, atol=1e-8)
 
 
@@ -65,7 +65,7 @@ def test_the_joint_estimate_converges_from_displaced_starts(world, data, best, e
     away = np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * y
     off = world.body.closest(best.points + 1e-3 * error_mm * away).point
     start = replace(trilaterate.least_squares(data), points=off)
-    found = maximum_likelihood.estimate(data, start)
+    found = maximum_likelihood.optimum(data, start).result()
     assert np.allclose(found.points, best.points, atol=1e-6)
 
 
@@ -97,8 +97,8 @@ def test_false_responses_all_over_the_body(world):
         assert len(near.pressure) < 0.6 * len(data.pressure)
         start = coactivation.initial_estimate(near, trilaterate.least_squares(near))
         assert errors(world, start).max() < 4e-3
-        right = maximum_likelihood.estimate(data, replace(start, points=world.truth))
-        found = maximum_likelihood.estimate(data)
+        right = maximum_likelihood.optimum(data, replace(start, points=world.truth)).result()
+        found = maximum_likelihood.optimum(data).result()
         assert np.allclose(found.points, right.points, atol=1e-6)
         assert errors(world, found).mean() < 0.35e-3
 

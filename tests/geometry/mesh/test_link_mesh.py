@@ -86,7 +86,7 @@ def test_what_cannot_be_a_body_is_named(urdf, tmp_path):
         ms.Body.from_urdf(urdf, "palm", kind="collisions")
     with pytest.raises(MeshError, match="cannot read the URDF file"):
         ms.Body.from_urdf(tmp_path / "none.urdf", "palm")
-    with pytest.raises(MeshError, match="the path of a URDF file must be a string"):
+    with pytest.raises(MeshError, match="a URDF file must be a path, got None"):
         ms.Body.from_urdf(None, "palm")
 
 
