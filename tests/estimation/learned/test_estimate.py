@@ -153,6 +153,13 @@ def test_whole_patches_that_press_harder_than_their_forces_say(measured):
     assert not any("force errors" in words for words in found.undetermined)
 
 
+@pytest.mark.parametrize("readings", ["pressure", "raw"])
+def test_a_recording_without_readings_is_refused(readings):
+    points, force, *found = world(contacts=20)
+    with pytest.raises(CalibrationError, match="no readings of a pressed contact"):
+        calibrate(recording(points, force, *(x[:0] for x in found)), belief(readings=readings))
+
+
 @pytest.mark.parametrize("groups", [(), (range(5, 12), [0, 20])])
 def test_every_derivative_of_the_learned_response(groups):
     known = belief(contact="learned", response_groups=groups)
