@@ -36,7 +36,7 @@ SIZES = {
     "drag": 1,
     "friction": 1,
     "scale": 1,
-    "exponents": 2,
+    "exponents": 3,
     "aspect": 1,
     "compression": 1,
     "profile": PROFILE_SIZE,
@@ -91,6 +91,9 @@ ELECTRONICS = ("hysteresis", "crosstalk", "creep")
 """Further ones, estimated where the readings show them (joint/electronics.py)."""
 WARMING = ("gain_drift", "offset_drift")
 """Drifts of the logarithm of the gain and of the offset of all taxels, estimated likewise."""
+ERROR_EXPONENT = "exponents of the radius in force errors"
+"""Label of the exponent of sizes in a contact's error of ln F, beyond the model's. Without such
+errors there is nothing to determine."""
 DEPARTURES = (*ELECTRONICS, *WARMING, "drift")
 """What makes a reading depend on its taxel's past, on its neighbours or on the time."""
 LEARNED_PRIORS = {"modulus": 0.5, "scale": 0.5}
@@ -162,7 +165,7 @@ class GlobalParameters:
         """A name (ks,) for every entry of s."""
         axes = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
         entries = {
-            "exponents": ("of the radius", "of the peak"),
+            "exponents": ("of the radius", "of the peak", "of the radius in force errors"),
             "hysteresis": ("share", "width"),
             "creep": ("share", "time constant", "lift"),
             **dict.fromkeys(WARMING, tuple(str(k + 1) for k in range(DRIFT_SIZE))),

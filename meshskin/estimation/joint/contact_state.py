@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from ...contact import Patches
 from ...core.arrays import Array
+from ..data.global_parameters import GlobalParameters
+
+SIZE_NORM = 1.91, 3.95
+"""Sums over all readings of products of their derivatives in ln size with those in ln F, and of
+squares of the former, relative to squares of the latter: 1.90 to 1.92 and 3.91 to 3.97 for Hertz'
+patches under discs of half their radius, in bodies/sphere.toml, ellipsoid.toml and on a spiral."""
 
 
 @dataclass(frozen=True)
@@ -65,3 +71,38 @@ class Contacts:
     def peaks(self) -> Array:
         """p_0 (m,), Pa."""
         return np.asarray(self.patches.peak)
+
+
+def with_own_size(
+    contacts: Contacts,
+    parameters: GlobalParameters,
+    levels: tuple[float, float],
+    slopes: tuple[Array, ...],
+    load: Array,
+) -> tuple[Contacts, tuple[Array, ...]]:
+    """The contacts, and the slopes of their patches, with errors `load` (m,) of ln F with which
+    sizes grow by another exponent than with the force.
+
+    On a half-space that is less by 1/3 where the errors are those of the amplitude alone, which
+    compression leaves at the level of gains. Readings change as much by an error whatever the
+    exponent is: one that made errors smaller at the same readings would be preferred for that.
+
+    levels: as `Measurements.response_levels`; slopes: in ln F, as `Contacts.by_load`, by the model
+    under compression.
+    """
+    column = parameters.columns_of(contacts.group)["exponents"].stop - 1
+    first = parameters.columns_of(0)["compression"].start
+    more, compression, (both, square) = contacts.s[column], contacts.s[first], SIZE_NORM
+    kept = float((1 + 2 * both * more + square * more**2) ** -0.5)
+    lost = -(both + square * more) * kept**2
+    amplified, apart = 1 + levels[1] * compression, 3 * (levels[1] - levels[0])
+    *sizes, peak = (kept * slope for slope in slopes)
+    shape, log_peak = tuple(x.copy() for x in contacts.shape), contacts.log_peak.copy()
+    for axis in range(min(len(sizes), 2)):
+        sizes[axis] = sizes[axis] + kept * amplified * more
+        shape[axis][:, column] = load * (kept * amplified + lost * sizes[axis])
+    bare = apart * peak / amplified
+    peak = peak + compression * more * bare
+    log_peak[:, column] = load * (lost * peak + compression * bare)
+    log_peak[:, first] += load * more * bare / amplified
+    return replace(contacts, shape=shape, log_peak=log_peak), (*sizes, peak)

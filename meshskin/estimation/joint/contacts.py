@@ -21,7 +21,7 @@ from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ..data.global_parameters import MIN_KEPT, MOTION
 from ..data.measurements import Measurements
-from .contact_state import Contacts
+from .contact_state import Contacts, with_own_size
 from .friction import Shears
 from .patch_derivatives import (
     LoadDerivatives,
@@ -112,6 +112,9 @@ class LinearizedContacts:
         compression = self.parameters.value("compression", contacts.s)
         amplified = 1 + self.recorded.response_levels[1] * compression
         slopes = tuple(amplified * slope for slope in self._load_slopes(s, contacts.group))
+        if "exponents" in self.parameters.names:
+            levels = self.recorded.response_levels
+            contacts, slopes = with_own_size(contacts, self.parameters, levels, slopes, load)
         first, second = slopes[0], slopes[1 if len(slopes) > 2 else 0]
         patches = contacts.patches._replace(
             first=contacts.patches.first * np.exp(first * load),
@@ -198,7 +201,7 @@ class LinearizedContacts:
         size = force - np.log(data.relative_curvature / data.typical_curvature)
         for slope in shape[:2]:
             slope[:, columns.start] = size
-        log_peak[:, columns] = np.column_stack([-2 * size, force])
+        log_peak[:, columns.start : columns.start + 2] = np.column_stack([-2 * size, force])
         grown = np.exp(exponents[0] * size)
         return patches._replace(
             first=patches.first * grown,

@@ -152,6 +152,25 @@ def residuals(readings: Readings, mu: Array, sigma: float) -> Array:
     return r * np.sqrt(readings.precision)
 
 
+def beyond_edge(readings: Readings, r: Array, sigma: float) -> Array:
+    """The residuals r (k,), of which those of silent readings count from where taxels answer: the
+    expected reading that divides silent ones from others with the fewest on the wrong side.
+
+    A response whose edge is less steep than the taxels' expects readings of all of them where none
+    reads. That accuses no taxel; one that is silent where others read at the same level is faulty.
+    """
+    silent = readings.kind == CENSORED
+    if not (r[silent] > 0).any():
+        return r
+    root = np.sqrt(readings.precision)
+    above = r / root + np.where(silent, 0.0, readings.level - readings.level[silent].max()) / sigma
+    order = np.argsort(-above)
+    wrong = np.cumsum(np.where(silent[order], 1, -1))  # with a division after each
+    last = int(np.argmin(wrong))
+    edge = max(float(above[order[min(last + 1, len(order) - 1)]]), 0.0) if wrong[last] < 0 else 0.0
+    return np.where(silent, np.maximum(r - edge * root, 0.0), r)
+
+
 def reading_scale(readings: Readings, r: Array) -> float:
     """Robust standard deviation of the residuals r (k,), by the median of their sizes."""
     r = r[_telling(readings)]

@@ -188,7 +188,7 @@ def _responding(estimator: JointEstimator) -> np.ndarray:
 
 def _misfits(estimator: JointEstimator) -> tuple[float, np.ndarray]:
     """The scale of most residuals, or of most taxels' residuals, and the taxels that exceed it."""
-    readings, residuals = estimator.likelihood.readings, estimator.residuals()
+    readings, residuals = estimator.likelihood.readings, _residuals(estimator)
     least = faults.MIN_SCALE if estimator.data.noise is None else 1.0
     for scale_of in (faults.reading_scale, faults.taxel_scale):
         typical = max(scale_of(readings, residuals), least)
@@ -198,9 +198,15 @@ def _misfits(estimator: JointEstimator) -> tuple[float, np.ndarray]:
     return typical, suspects
 
 
+def _residuals(estimator: JointEstimator) -> Array:
+    """Residuals (k,) in units of the noise; those of silent readings beyond the edge of all."""
+    readings = estimator.likelihood.readings
+    return faults.beyond_edge(readings, estimator.residuals(), estimator.data.sigma)
+
+
 def _standardized(estimator: JointEstimator, scale: float) -> Array:
     """Residuals (k,) in their standard deviations with noise of `scale`."""
-    return estimator.residuals() / faults.spread(estimator.likelihood.readings, scale)
+    return _residuals(estimator) / faults.spread(estimator.likelihood.readings, scale)
 
 
 def _mean_log_likelihood(estimator: JointEstimator, scale: float, out: np.ndarray) -> float:
@@ -221,7 +227,7 @@ def irls(estimator: JointEstimator, suspects: np.ndarray, scale: float, fixed: b
         points[suspects] = trilaterate.medians(estimator.data, estimator.live[suspects])
         estimator.start_at(points)
     for stage in (*faults.GNC_STAGES, *[0.0] * faults.MAX_REWEIGHTINGS):
-        r, readings = estimator.residuals(), estimator.likelihood.readings
+        r, readings = _residuals(estimator), estimator.likelihood.readings
         if not fixed:
             scale = max(faults.reading_scale(readings, r), faults.MIN_SCALE)
         if not stage:

@@ -5,11 +5,8 @@ and an error of ln F, normal and independent with unknown variances. So have the
 of the taxels, and the coefficients of the learned profile. A reading has noise with a constant part
 and one proportional to its level. Given the variances, all unknowns move together by Gauss-Newton
 steps (coupled_system.py). From where these are near the optimum on, each variance moves after every
-step by Fisher scoring of the restricted likelihood (deviations.py); one factorization serves the
-step and the posterior before it (posterior.py).
-
-Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal",
-Biometrika 58 (1971).
+step by Fisher scoring of the restricted likelihood (deviations.py, with the source); one
+factorization serves the step and the posterior before it (posterior.py).
 """
 
 from __future__ import annotations
@@ -51,9 +48,11 @@ MAX_RISE = 10.0
 is none of a linear cost's."""
 LEAST_FALL = 0.1
 """Largest part of that rise which a step back leaves: Gauss and Newton's leave about its square."""
-TRIALS = (0.0, 1.0), (10.0, 1.0), *((1e3, 0.4**part) for part in range(5))
-"""Trials of a step: weight of the global parameters' priors on their step, and part of the step."""
-RESTRAINED = 2
+TRIALS = (0, 1, 1.0), (10, 0.03, 1.0), (10, 1, 1.0), *((1e3, 1, 0.4**part) for part in range(5))
+"""Trials of a step: weight of the global parameters' priors on it, its factor for the profile's,
+and part of the step. A profile that is hardly restrained follows along the valley; with 0 or 0.1
+some recordings with errors of amplitude or logarithmic responses did not reach their optimum."""
+RESTRAINED = 3
 """The trial that the first step begins with: far from the optimum, global parameters would go along
 the valley by what places and effects still lack."""
 HUBER = 4.0
@@ -96,8 +95,8 @@ class RandomEffects:
         self.crossed: tuple[Unknowns, float, float] | None = None
         """Where steps left a curved valley, the cost there, and its rise; None if none did."""
         self.noise_known = data.belief.noise_sigma is not None
-        self.mu, self.leverages, self.spread = np.empty(k), np.zeros(k), np.ones(k)
         self.uneven = data.uneven[readings.contact]
+        self.mu, self.leverages, self.spread = np.empty(k), np.zeros(k), np.ones(k)
         self.jacobian = np.empty((k, self.size + len(unknowns.s) + CONTACT_SIZE))
         self.lag, self.rests_on = np.zeros((k, CONTACT_SIZE)), readings.contact
         self._made, self._made_at = dict[str, Any](), (unknowns, deviations, self.mu)
@@ -241,28 +240,29 @@ class RandomEffects:
         Global parameters that trade against each other, as compression and profile do, have a
         curved valley of nearly equal cost. Near the optimum a step may leave it, where the next one
         leads back to a lower cost (a watchdog). Else the step of the global parameters is
-        restrained by their priors, in whose units the valley is not long, and the other unknowns
-        follow. Source: Chamberlain, Powell, Lemarechal, Pedersen, "The watchdog technique for
-        forcing convergence", Mathematical Programming Study 16 (1982).
+        restrained by their priors, in whose units the valley is not long. Source: Chamberlain and
+        others, "The watchdog technique for forcing convergence", Math. Prog. Study 16 (1982).
 
-        Returns the rms move of the taxels in their standard deviations at fixed contacts, and the
-        posterior before the step where its expected decrease, or that of the last step, is below
-        `settled`; an infinite move and none after a step that leaves the valley.
+        Returns the rms move of the taxels by an unrestrained step, in their standard deviations at
+        fixed contacts, and the posterior before it where its expected decrease, or the last one, is
+        below `settled`; an infinite move and none after a step that leaves the valley.
         """
         crossed, self.crossed = self.crossed, None
         before, cost, rise = crossed or (self.unknowns, self.cost(), np.inf)
         here, (system, x, decrease) = self.unknowns, self.system().newton_step()
         settles = crossed is None and min(decrease, self.last_decrease) < settled
         posterior = self.posterior(system) if settles else None
-        for weight, part in TRIALS[self.restraint :]:
-            change = system.restrained(x[2], weight * self.prior[2]) - x[2]
+        for weight, held, part in TRIALS[self.restraint :]:
+            restraint = weight * self.prior[2]
+            restraint[self.data.parameters.columns["profile"]] *= held
+            change = system.restrained(x[2], restraint) - x[2]
             follow = system.following(change)
             step = [-part * (a + b) for a, b in zip(x, follow, strict=True)]
             self._move_by(here, *step)
             self.last_decrease = cost - self.cost()
             if self.last_decrease >= -1e-9 * abs(cost):
                 self.restraint = max(self.restraint - 1, 0)
-                moves = np.einsum("ni,nij,nj->n", step[0], system.taxels, step[0])
+                moves = np.einsum("ni,nij,nj->n", x[0], system.taxels, x[0])
                 return float(np.sqrt(np.mean(moves))), posterior
             lowered, rise = -self.last_decrease < LEAST_FALL * rise, -self.last_decrease
             near = decrease < SETTLED * len(self.mu) and rise < MAX_RISE * cost

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.arrays import Array, spread_rows
 from ..chart import tangential_square
-from ..data.global_parameters import DEPARTURES, MOTION
+from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION
 from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
 from ..joint.joint_estimator import JointEstimator
@@ -271,7 +271,7 @@ def _not_separable(effects: RandomEffects, covariance: Array) -> tuple[str, ...]
     weak = tuple(
         f"{label} is not determined"
         for k, label in enumerate(parameters.labels)
-        if not label.startswith(("profile", MOTION))
+        if not label.startswith(("profile", MOTION, ERROR_EXPONENT))
         and sigma[k] > NOT_SEPARABLE * parameters.sigma[k]
     )
     return (*weak, *undetermined_motion(parameters, covariance))

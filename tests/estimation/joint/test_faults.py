@@ -291,6 +291,31 @@ def test_a_taxel_misfits_beyond_chance_and_by_more_than_the_model():
     assert (misfits(rare), misfits(common)) == (1, 0)
 
 
+@pytest.mark.parametrize("answering", [False, True])
+def test_silence_accuses_where_others_answer(answering):
+    """Silent readings expected at up to 8 sigma over the threshold of 5: all that are expected at
+    less than 10, and most up to 13, or 5 of 67 that are expected there."""
+    one = np.ones(200)
+    expected = np.concatenate([np.linspace(5.1, 13.0, 100), np.linspace(10.0, 30.0, 100)])
+    if answering:
+        expected = np.concatenate([np.linspace(5.1, 13.0, 5), np.linspace(5.0, 30.0, 195)])
+    silent = np.arange(200) < (5 if answering else 100)
+    kind = np.where(silent, CENSORED, OBSERVED)
+    level = np.where(silent, 5.0, expected)
+    taxel = np.arange(200) % 2
+    order = np.argsort(taxel, kind="stable")
+    parts = (np.arange(200), taxel, level, kind, np.arange(200), one, one)
+    readings = Readings(*(part[order] for part in parts), np.array([0, 100, 200]))
+    r = fault_detection.residuals(readings, expected[order], 1.0)
+    left = fault_detection.beyond_edge(readings, r, 1.0)
+    np.testing.assert_array_equal(left[~silent[order]], r[~silent[order]])
+    if answering:
+        np.testing.assert_allclose(left, r, atol=0.2)
+    else:
+        assert r.max() > 7.9
+        assert not left[silent[order]].any()
+
+
 def test_the_scale_of_the_noise_is_that_of_readings_off_edges():
     """Each other reading is over an edge, which changes it by five times the noise."""
     count, scale, edge = 400, 0.2, 5.0

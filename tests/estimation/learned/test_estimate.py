@@ -134,6 +134,32 @@ def test_unmeasured_forces_whose_errors_neighbouring_contacts_share(wave, noise)
     assert 0.9 * wave / 2**0.5 < scatter < 1.4 * wave / 2**0.5  # with what noise has in it
 
 
+@pytest.mark.parametrize("measured", [True, False])
+def test_whole_patches_that_press_harder_than_their_forces_say(measured):
+    def harder(pressure, rng):
+        return pressure * np.exp(0.08 * rng.standard_normal((len(pressure), 1)))
+
+    points, force, *readings = world(read=harder, seed=4)
+    given = recording(points, force if measured else np.full(500, FORCE), *readings)
+    if not measured:
+        given = replace(given, metadata={**given.metadata, "force": NOMINAL})
+    found = calibrate(given, belief(contact="learned", readings="raw"))
+    assert found.verdict.level == "PASS"
+    off, stated = errors(found)
+    assert 0.8 < stated / off < 1.25
+    exponent, sigma = found.unknowns["exponents of the radius in force errors"]
+    assert sigma < 0.05
+    assert -0.43 < exponent < (-0.25 if measured else -0.1)  # amplitudes alone: -1/3
+    assert not any("force errors" in words for words in found.undetermined)
+
+
+@pytest.mark.parametrize("readings", ["pressure", "raw"])
+def test_a_recording_without_readings_is_refused(readings):
+    points, force, *found = world(contacts=20)
+    with pytest.raises(CalibrationError, match="no readings of a pressed contact"):
+        calibrate(recording(points, force, *(x[:0] for x in found)), belief(readings=readings))
+
+
 @pytest.mark.parametrize("groups", [(), (range(5, 12), [0, 20])])
 def test_every_derivative_of_the_learned_response(groups):
     known = belief(contact="learned", response_groups=groups)

@@ -67,7 +67,7 @@ def test_taxels_that_differ_among_themselves_are_no_groups(scatter):
 def test_entries_of_the_global_parameters_by_group():
     one = declared_parameters(("modulus", "exponents", "drag"), {"modulus": 0.5}, 1.0, 1.0)
     two, rows = one.grouped(2)
-    assert rows.tolist() == [0, 0, 1, 2, 3, 2, 3]
+    assert rows.tolist() == [0, 0, 1, 2, 3, 4, 2, 3, 4]
     assert two.sigma.tolist() == one.sigma[rows].tolist()
     assert len(two.labels) == len(two.sigma)
     shared, first, second = two.columns["drag"], two.columns_of(0), two.columns_of(1)
@@ -75,11 +75,14 @@ def test_entries_of_the_global_parameters_by_group():
     named = np.array(two.labels)
     assert named[second["modulus"]].tolist() == ["modulus of group 2"]
     assert named[second["exponents"]].tolist() == [
-        "exponents of the radius of group 2", "exponents of the peak of group 2"
-    ]  # fmt: skip
+        "exponents of the radius of group 2",
+        "exponents of the peak of group 2",
+        "exponents of the radius in force errors of group 2",
+    ]
     assert named[first["exponents"]].tolist() == [
         "exponents of the radius",
         "exponents of the peak",
+        "exponents of the radius in force errors",
     ]
     s = np.arange(len(rows)) * 1.0
     assert two.value("modulus", s, 1) == s[second["modulus"]][0] != two.value("modulus", s)
