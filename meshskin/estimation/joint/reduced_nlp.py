@@ -72,7 +72,7 @@ def minimize(
             value=f"Newton decrement {evaluator.reduced.decrement:.3g} after "
             f"{problem.evaluations:.0f} evaluations of all taxels",
             limit=f"{tolerance:.3g} after {evaluator.most:.0f}",
-            remedy="check the scale of pressures and forces, that contact points and readings are of "
+            remedy="check the scale of pressures and forces, that points and readings have "
             "the same times, the contact model and the noise, or let the calibration learn the "
             'response: contact="auto"',
         )
