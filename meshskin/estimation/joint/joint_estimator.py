@@ -265,8 +265,9 @@ class JointEstimator:
                 "the joint estimate did not converge",
                 value=f"Newton decrement {reduced.decrement:.3g}, {status}",
                 limit=limit,
-                remedy="check the scale of pressures and forces, the contact model and the noise; "
-                "raise the iteration limit, calibrate(iterations=...)",
+                remedy="check the scale of pressures and forces, that points and readings have the "
+                "same times, the contact model and the noise; raise the iteration limit, "
+                "calibrate(iterations=...)",
             )
 
     def record(self, state: State) -> None:

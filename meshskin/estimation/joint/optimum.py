@@ -162,7 +162,7 @@ def _tangential(
     apart = np.nan_to_num(rivals.points - parametrization.points())
     tangential = own + chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
     if fit.good is False:
-        return tangential + _model_dependence(estimator, fit), [SURFACE]
+        return tangential + model_dependence(estimator, fit), [SURFACE]
     added, words = found.covariances()
     return tangential + added, [SURFACE, *words]
 
@@ -208,14 +208,16 @@ def _factors(data: Measurements, fit: GoodnessOfFit) -> list[str]:
     return [*factors, *data.excluded]
 
 
-def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:
+def model_dependence(estimator: JointEstimator, fit: GoodnessOfFit, least: float = 0.0) -> Array:
     """What to add to the tangential covariances (n, 2, 2), m^2, where the model does not fit.
 
     The pressure-weighted mean of its contact points needs no model: its distance from the estimate
-    counts as a standard deviation, by the part of the residuals' variance that is not noise.
+    counts as a standard deviation, by the part of the residuals' variance that is not noise. Below
+    `least`, m, it does not.
     """
     parametrization = estimator.problem.parametrization
     means = trilaterate.centroids(estimator.data)[estimator.live]
     apart = np.nan_to_num(means - parametrization.points())
+    apart[np.linalg.norm(apart, axis=1) < least] = 0.0
     square = chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
     return np.asarray((1 - 1 / fit.reduced) * square)

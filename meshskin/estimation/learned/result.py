@@ -14,10 +14,11 @@ from ..chart import tangential_square
 from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION
 from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
-from ..joint.joint_estimator import JointEstimator
+from ..joint.joint_estimator import MAX_CHI2, JointEstimator
 from ..joint.leaks import further_shares, leak_covariances
 from ..joint.noise import neighbours
 from ..joint.null_space import undetermined_motion
+from ..joint.optimum import model_dependence
 from ..joint.pressure import CENSORED, OBSERVED
 from ..joint.residual_correlations import larger, shared_errors
 from ..joint.rival_optima import RivalOptima
@@ -65,6 +66,11 @@ def learned_result(
     scale = max(_misfit(fit), fewer_contacts(response.contact_correlation), response.alike_contacts)
     small = _small_effects(effects, fit)
     tangential, factors, departures = _tangential(effects, covariance, fit, scale)
+    if fit.good is False:
+        tangential *= _own_misfit(effects)[:, None, None]
+        # where no contact that a taxel answered reaches it, only the model has put it
+        reach = float(np.median(data.reach()))
+        tangential += model_dependence(estimator, fit, reach)
     placed = u.parametrization
     for name, errors in small.items():
         if not errors.covariances.any():
@@ -177,6 +183,14 @@ def _chi2(effects: RandomEffects) -> Array:
     recorded = readings.kind == OBSERVED
     square = np.bincount(readings.taxel, effects.residuals() ** 2 * recorded, n)
     return np.asarray(square / np.maximum(np.bincount(readings.taxel, recorded, n) - 2, 1))
+
+
+def _own_misfit(effects: RandomEffects) -> Array:
+    """Factors (n,), at least 1, of the variances of taxels whose residuals are far larger than
+    those of most: where the model does not fit, one noise is not that of all."""
+    chi2 = _chi2(effects)
+    own = chi2 / max(float(np.median(chi2)), 1e-300)
+    return np.where(own > MAX_CHI2, own, 1.0)
 
 
 def _taxel_unknowns(

@@ -18,7 +18,7 @@ from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_param
 from ..data.patch_shape import MAX_EDGES
 from ..joint.departures import MIN_SCORE
 from ..learned.contact_correlations import MAX_CORRELATION
-from . import recorded_normals, second_places, swapped_axes, verdict, weighted_means
+from . import mounted_anew, recorded_normals, second_places, swapped_axes, verdict, weighted_means
 from .contact_errors import SURFACE_DEPTHS, displacement, motion, nearer_points
 from .goodness_of_fit import STRONG
 from .verdict import DOUBT, FAIL, LEVELS, PASS, PRIOR_SIGMAS, Finding, Verdict, level_of
@@ -101,6 +101,7 @@ def _of_log(
         *_surface(data, points),
         *recorded_normals.findings(recording, data),
         *swapped_axes.findings(recording, data, points),
+        *mounted_anew.findings(data, points),
         *verdict.pressures(recording, data),
     ]
 

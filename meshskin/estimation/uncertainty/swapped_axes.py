@@ -15,6 +15,7 @@ import numpy as np
 from ...core.arrays import Array
 from ...recording.recording import JOINT_ANGLES
 from . import verdict
+from .mounted_anew import displacements
 from .verdict import FAIL, PASS, Finding, level_of
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class NearerAxes:
 def nearer_axes(data: Measurements, points: Array) -> NearerAxes:
     """The axes with which contact points (m, 3), m, are nearest to the believed surface; their own
     where they lie on it, or where a displacement brings them nearer than other axes do: on a nearly
-    symmetric body, mirrored points are those of a body that has moved."""
+    symmetric body, mirrored points are those of a body that has moved, maybe in the recording."""
     rows = np.linspace(0, len(points) - 1, min(POINTS, len(points))).astype(int)
     points, recorded = points[rows], _mean_square(data, points[rows])
     if len(points) < verdict.MIN_CONTACTS or recorded <= (SMALL * data.indentation) ** 2:
@@ -64,15 +65,9 @@ def nearer_axes(data: Measurements, points: Array) -> NearerAxes:
     squares = np.array([_mean_square(data, points @ turned.T) for turned in axes])
     best, nearest = int(np.argmin(squares)), float(np.min(squares))
     off = nearest > (SMALL * data.indentation) ** 2
-    if off and BETTER[0] * _mean_square(data, _displaced(data, points)) < nearest:
+    if off and BETTER[0] * _mean_square(data, displacements(data, points).points) < nearest:
         return NearerAxes(np.eye(3), recorded, recorded)
     return NearerAxes(axes[best], recorded, nearest)
-
-
-def _displaced(data: Measurements, points: Array) -> Array:
-    """Points (k, 3), m, all moved by what brings them nearest to the believed surface."""
-    hit = data.body.closest(points)
-    return points - np.linalg.lstsq(hit.normal, hit.distance, rcond=None)[0]
 
 
 def findings(recording: Recording, data: Measurements, points: Array) -> list[Finding]:

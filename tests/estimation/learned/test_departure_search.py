@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from meshskin.core.progress import Stage
 from meshskin.estimation.calibrate import Estimation, calibrate
 from meshskin.estimation.learned import departure_search, estimate
 from meshskin.estimation.learned.random_effects import MAX_IMPLAUSIBLE
@@ -20,9 +21,14 @@ def test_an_estimate_that_stays_out_of_reach_is_given_up(started):  # noqa: F811
     assert len(given_up.iterates) - 1 == MAX_IMPLAUSIBLE < len(whole.iterates) - 1
 
 
-def searched(monkeypatch, scores, trial):
+def effects_at(objective, stage):
+    return SimpleNamespace(objective=objective, stage=stage)
+
+
+def searched(monkeypatch, scores, trial, steps=0):
     """What `with_departures` returns where departures have `scores`, and what it tried; trial
-    (name): whether one converges, None where it is lost, and by how much it lowers the objective.
+    (name): whether one converges, None where it is lost, and by how much it lowers the objective;
+    steps: that each takes.
     """
     tried = []
 
@@ -31,7 +37,8 @@ def searched(monkeypatch, scores, trial):
         converged, gain = trial(name)
         if converged is not None:
             del scores[name]
-        return SimpleNamespace(objective=effects.objective - gain), begin, converged
+        effects.stage.done += steps
+        return effects_at(effects.objective - gain, effects.stage), begin, converged
 
     monkeypatch.setattr(
         departure_search,
@@ -41,7 +48,7 @@ def searched(monkeypatch, scores, trial):
     monkeypatch.setattr(departure_search, "_with_departure", with_departure)
     monkeypatch.setattr(departure_search, "_objective", lambda effects: effects.objective)
     monkeypatch.setattr(departure_search, "plausible", lambda effects, name: True)
-    begin = SimpleNamespace(objective=0.0)
+    begin = effects_at(0.0, Stage())
     return departure_search.with_departures(begin, (None, None), ()), tried
 
 
@@ -67,6 +74,17 @@ def test_a_search_ends_but_where_a_departure_does_not_converge(monkeypatch, conv
     assert tried == (["drag", "friction"] if converged else ["drag"])
     assert left == ({} if converged else {"friction": 15.0})
     assert found.objective == (-2e3 if converged else -1e3)
+
+
+@pytest.mark.parametrize("lost", [True, False])
+def test_a_search_ends_when_steps_have_come_to_nothing(monkeypatch, lost):
+    """Those of departures that stay do not count."""
+    scores = dict.fromkeys(("drag", "friction", "indenter_offset", "gain_drift"), 20.0)
+    gain, most = 0.0 if lost else 1e3, departure_search.MAX_SPENT
+    (_, left, ended), tried = searched(monkeypatch, scores, lambda name: (True, gain), most)
+    assert len(tried) == (2 if lost else 4)
+    assert ended is not lost
+    assert set(left) == ({*scores} if lost else set())
 
 
 def test_displaced_contacts_are_left_out_before_departures_are_searched(monkeypatch):

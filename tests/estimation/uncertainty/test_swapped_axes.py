@@ -33,14 +33,14 @@ def bumpy(noisy):
     )
 
 
-def log(scene, signs):
-    """A log without normals whose contact points have other signs."""
+def log(scene, signs, moved=0.0):
+    """A log without normals whose contact points have other signs, and are `moved` (c, 3), m."""
     rng = np.random.default_rng(1)
     near = scene.skin.positions[rng.integers(len(scene.skin), size=CONTACTS)]
     points = scene.body.closest(near + rng.uniform(-6e-3, 6e-3, (CONTACTS, 3))).point
     made = ms.press(scene, points, force=rng.uniform(2.5, 3.5, CONTACTS), seed=1)
     contacts = made.contacts
-    columns = dict(zip(("px", "py", "pz"), (made.points * signs).T, strict=True))
+    columns = dict(zip(("px", "py", "pz"), (made.points * signs + moved).T, strict=True))
     columns |= dict.fromkeys(("nx", "ny", "nz"), np.full(CONTACTS, np.nan))
     for name, values in columns.items():
         contacts = contacts.set_column(contacts.column_names.index(name), name, pa.array(values))
@@ -77,14 +77,29 @@ def test_mirrored_taxels_are_within_their_standard_deviations(off_plane):
 
 
 @pytest.mark.parametrize(("sign", "level"), [(1.0, "PASS"), (-1.0, "FAIL")])
-def test_points_that_drift_are_not_mirrored_ones(off_plane, sign, level):
-    """Drifting by 1 to 3 mm, they are 2.1 mm off the ball, mirrored 1.2 mm, displaced 0.6 mm."""
+@pytest.mark.parametrize(
+    "course", [np.linspace(1e-3, 3e-3, CONTACTS), np.repeat([0.5e-3, 4e-3], CONTACTS // 2)]
+)
+def test_points_that_move_in_the_recording_are_not_mirrored_ones(off_plane, course, sign, level):
+    """Drifting by 1 to 3 mm, they are 2.1 mm off the ball, mirrored 1.2 mm, displaced 0.6 mm; with
+    a jump from 0.5 to 4 mm 2.9 mm, mirrored 1.9 mm, displaced by one shift 1.8 mm."""
     recording = log(off_plane, np.ones(3))
     data = gather(recording, off_plane.belief())
-    drift = np.outer(np.linspace(-1e-3, -3e-3, len(data.points)), [0.0, sign > 0, 0.0])
-    found = nearer_axes(data, (data.points + drift) * [1.0, sign, 1.0])
+    moved = np.outer(-course, [0.0, sign > 0, 0.0])
+    found = nearer_axes(data, (data.points + moved) * [1.0, sign, 1.0])
     assert found.level == level
     np.testing.assert_array_equal(found.axes, np.diag([1.0, sign, 1.0]))
+
+
+@pytest.mark.parametrize("jump", [0.0, 1e-3])
+def test_a_body_that_moves_in_the_recording_is_named(bumpy, jump):
+    """A displacement that all contacts share is none."""
+    moved = np.outer(np.repeat([0.3e-3, 0.3e-3 + jump], CONTACTS // 2), [1.0, 0.0, 0.0])
+    found = ms.calibrate(log(bumpy, np.ones(3), moved), bumpy.belief())
+    reasons = " ".join(found.verdict.reasons)
+    assert found.verdict.level != "PASS"
+    assert ("moved in the course of the recording, at about 51%" in reasons) == bool(jump)
+    assert ("displaced by another 1 mm" in reasons) == bool(jump)
 
 
 def test_each_order_and_sign_of_the_axes_is_tried_once():

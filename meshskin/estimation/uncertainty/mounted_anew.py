@@ -1,0 +1,81 @@
+"""A body, or an indenter, that moved in the course of a recording, by the contact points.
+
+The contact points before and after lie on the believed surface by two different displacements.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core.arrays import Array
+from .verdict import DOUBT, Finding
+
+if TYPE_CHECKING:
+    from ..data.measurements import Measurements
+
+PLACES = 16
+"""Contacts, evenly spaced, from which on a body may have moved."""
+POINTS = 1000
+"""Contact points, at most, that are compared."""
+SMALL = 0.02
+"""Distance of the points from the surface (rms) after one displacement of all, in depths of the
+indentation, up to which they are on it: 0.04 mm for the paper's skin."""
+WEAK = 0.03
+"""Singular value, relative to the largest, of a direction in which a displacement hardly changes
+the distances, so that it is none."""
+BETTER = 4.0
+"""Ratio of the mean squared distances after one and after two, from which these are named:
+that of a steady drift."""
+
+
+@dataclass(frozen=True)
+class Displacements:
+    """Two displacements of contact points that bring them nearest to the believed surface."""
+
+    part: float
+    """Part of the contacts before the second one."""
+    points: Array
+    """The points (k, 3), m, as moved."""
+    one: float
+    """Mean squared distance, m^2, after one displacement of all."""
+    two: float
+    """That after both."""
+    apart: float
+    """Length, m, of the difference of the two."""
+
+
+def displacements(data: Measurements, points: Array) -> Displacements:
+    """Those of contact points (k, 3), m, in the order of their times."""
+    hit, count = data.body.closest(points), len(points)
+    best, found = np.inf, list[Array]()
+    for begin in range(0, count, -(-count // PLACES)):
+        later = (np.arange(count) >= begin)[:, None]
+        columns = np.hstack([hit.normal * ~later, hit.normal * later])
+        x = np.linalg.lstsq(columns, hit.distance, rcond=WEAK)[0]
+        left = float(np.sum((hit.distance - columns @ x) ** 2))
+        if not found or left < best:
+            best, part, apart = left, begin / count, float(np.linalg.norm(x[3:] - x[:3]))
+            found = [*found[:1], points - np.where(later, x[3:], x[:3])]
+    one, two = (float(np.mean(data.body.closest(p).distance ** 2)) for p in (found[0], found[-1]))
+    return Displacements(part, found[-1], one, two, apart)
+
+
+def findings(data: Measurements, points: Array) -> list[Finding]:
+    """What the distances of contact points (m, 3), m, from the believed surface say."""
+    rows = np.linspace(0, len(points) - 1, min(POINTS, len(points))).astype(int)
+    if len(rows) < 2 * PLACES:
+        return []
+    found = displacements(data, points[rows])
+    if found.one < max((SMALL * data.indentation) ** 2, BETTER * found.two):
+        return []
+    words = (
+        f"the body or the indenter has moved in the course of the recording, at about "
+        f"{found.part:.0%} of it: displaced alike, the contact points lie "
+        f"{1e3 * found.one**0.5:.2g} mm off the believed surface (rms), and those from there on "
+        f"displaced by another {1e3 * found.apart:.1g} mm, {1e3 * found.two**0.5:.2g} mm (limit: "
+        f"{BETTER**0.5:g} times nearer); calibrate both parts by themselves, or record anew"
+    )
+    return [(DOUBT, words)]
