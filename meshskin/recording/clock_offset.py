@@ -146,7 +146,7 @@ def _of_contact(
     low = np.flatnonzero(gain < gain[k] - 1.0)
     ends = np.concatenate([[0], low[low < k][-1:], low[low > k][:1], [len(fine) - 1]])
     width = float(np.diff(fine[[ends[ends < k][-1], ends[ends > k][0]]])[0])
-    return _peak(fine, gain), width / 4
+    return peak(fine, gain), width / 4
 
 
 def _pooled(values: Array, sigma: Array) -> tuple[float, float]:
@@ -247,7 +247,7 @@ def _misfit(along: Array, sums: Array) -> Array:
     return np.asarray(np.sum((sums - fitted) ** 2, axis=1))
 
 
-def _peak(offsets: Array, likelihood: Array) -> float:
+def peak(offsets: Array, likelihood: Array) -> float:
     """Offset of the largest likelihood, by a parabola through it and its neighbours."""
     k = int(np.clip(np.argmax(likelihood), 1, len(offsets) - 2))
     before, at, after = likelihood[k - 1 : k + 2]

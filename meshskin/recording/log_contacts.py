@@ -131,7 +131,8 @@ def at_clock(log: SkinLog, offset: float) -> SkinLog:
         np.interp(log.time - offset + shift, log.time[known], log.force[known])
         for shift in (-frame, 0.0, frame)
     )
-    sudden = np.minimum(before, after) < (1 - SUDDEN) * force
+    sign = np.sign(force)  # forces that pull are refused with words of their own
+    sudden = np.minimum(sign * before, sign * after) < (1 - SUDDEN) * np.abs(force)
     return replace(log, force=np.where(sudden, np.nan, force))
 
 

@@ -63,6 +63,8 @@ def test_forces_are_those_of_the_time_of_the_contact(log):
     assert at_clock(log, 0.0) is log
     found = at_clock(log, 0.1).force
     np.testing.assert_allclose(found, [0, 0, 0, np.nan, 3, 3.2, np.nan, 0], atol=1e-12)
+    pulled = at_clock(replace(log, force=-force), 0.1).force  # refused later, not unknown
+    np.testing.assert_allclose(pulled, -found, atol=1e-12)
 
 
 def test_joints_are_those_asked_for_in_their_order(log):

@@ -48,6 +48,10 @@ tenth of the best calibrations' standard deviations."""
 TIMED = 1e-3
 """Change of the offset of the clocks, s, from which forces and contacts are chosen anew: a force
 that rises to its level in 0.1 s changes by a hundredth of it."""
+APART = 2.5e-4
+"""Median displacement, m, of the contacts from those of the recording, from which they are computed
+anew, and chosen anew where the log has no forces: a tenth of a contact's radius (2.5 mm), up to
+which frames are one contact (steady.ALIKE)."""
 CLOCK_FITS = 2
 """Fits of the clock and the heights in turn: the delays of joints do not change after the first."""
 HEIGHT_FITS = 2
@@ -84,16 +88,19 @@ def calibrate_log(
         reference = typical_force(log)
     belief = replace(belief, force_reference=reference)
     used, clock, heights, x = _started(log, kinematics, path, belief, reference)
-    rounds, moved = 0, np.inf
+    rounds, moved, shift = 0, np.inf, np.inf
     noise = belief.noise_sigma if belief.readings == RAW else None
-    while rounds < MAX_ROUNDS and moved > LINEAR:
+    while rounds < MAX_ROUNDS and (moved > LINEAR or shift > APART):
         rounds += 1
         known = replace(belief, surface_sigma=heights.mesh_error.sigma, noise_sigma=noise)
-        found, recording, values, moved = _estimated(used, heights, x, known, reference, progress)
+        found, recording, values, (shift, moved) = _estimated(
+            used, heights, x, known, reference, progress
+        )
         if noise is None and not _exceeds(found, belief.noise_sigma):
             noise, moved, rounds = belief.noise_sigma, np.inf, rounds - 1
-        late = heights.model.value("clock_offset", values)
-        if log.force is not None and abs(late) > TIMED and rounds < MAX_ROUNDS:
+        late, sigma = found.unknowns.get("clock_offset", (0.0, 0.0))
+        changed = shift > APART if log.force is None else abs(late) > TIMED
+        if changed and abs(late) > sigma and rounds < MAX_ROUNDS:
             used, clock, heights, x = _started(
                 log, kinematics, path, belief, reference, clock + late
             )
@@ -120,9 +127,10 @@ def _estimated(
     belief: Belief,
     reference: float,
     progress: Progress | None,
-) -> tuple[Calibration, Recording, Array, float]:
+) -> tuple[Calibration, Recording, Array, tuple[float, float]]:
     """The calibration with the contacts at x (K + 1,), their recording, the unknowns (K,) that it
-    finds, and the median displacement, m, of the contacts from where the linear table put them."""
+    finds, and the median displacements, m, of the contacts with these: from where they were, and
+    from where the linear table put them."""
     kinematics, path, time, s = heights.model, heights.path, heights.time, x[:-1]
     linear = heights.linearized(x)
     centres, slopes = kinematics.centres(path, time, s)
@@ -134,8 +142,10 @@ def _estimated(
     recording = recording_of(log, frames, off, normals, force, belief.readings)
     found = calibrate(recording, _corrected(belief, kinematics, s, motion), progress=progress)
     values = np.array([found.unknowns[label][0] for label in kinematics.labels])
-    moved = kinematics.centres(path, time, values)[0] - centres - slopes @ (values - s)
-    return found, recording, values, float(np.median(np.linalg.norm(moved, axis=1)))
+    shift = kinematics.centres(path, time, values)[0] - centres
+    moved = shift - slopes @ (values - s)
+    apart, left = (float(np.median(np.linalg.norm(part, axis=1))) for part in (shift, moved))
+    return found, recording, values, (apart, left)
 
 
 def _exceeds(found: Calibration, noise: float | None) -> bool:

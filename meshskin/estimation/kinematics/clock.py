@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.arrays import Array
+from ...recording.clock_offset import peak
 from ...robot.contact_kinematics import ContactKinematics, JointPath
 from ..data.delay import CHANCE, LATE_GAIN, MIN_USED, comparison, spreads
 
@@ -24,6 +25,10 @@ FAR_GAIN = 0.5
 """Mean spread, relative to that with no offset, from which chance is no question. The mean, not the
 median, is compared: at an offset of seconds a few contacts lie on the way from one pass to the
 next, far from all others."""
+NEAR = 0.1
+"""Offset, s, up to which the contacts of a pass stay beside their taxel (4 mm at 40 mm/s), so that
+the spread is one valley about the true one: its bottom may be flat, but its side at half the way
+shows the direction."""
 MAX_CONTACTS = 2000
 """Contacts, evenly chosen, that are compared."""
 FAINT = 0.1
@@ -70,11 +75,18 @@ def first_offset(
         points = centres(offset)
         return float(np.mean(spread(points, compared(points))))
 
+    def gain(offset: float) -> tuple[float, float]:
+        """Mean spread relative to that with no offset, and the probability of it by chance."""
+        points = centres(offset)
+        used = compared(points)
+        found, now = spread(points, used), spread(present, used)
+        return float(np.mean(found) / np.mean(now)), comparison(found, now)[1]
+
     tried = STEP * np.arange(-round(LARGEST / STEP), round(LARGEST / STEP) + 1)
-    best = min(tried, key=spread_at)
-    points = centres(best)
-    used = compared(points)
-    found, now = spread(points, used), spread(present, used)
-    ratio, chance = float(np.mean(found) / np.mean(now)), comparison(found, now)[1]
-    shown = ratio < FAR_GAIN or (ratio < LATE_GAIN and chance < CHANCE)
-    return float(best) if shown else 0.0
+    best = float(min(tried, key=spread_at))
+    ratio, chance = gain(best)
+    if ratio < FAR_GAIN or (ratio < LATE_GAIN and chance < CHANCE):
+        return best
+    near = tried[np.abs(tried) < NEAR + STEP / 2]
+    best = peak(near, -np.array([spread_at(offset) for offset in near]))
+    return best if abs(best) < NEAR and gain(best / 2)[1] < CHANCE else 0.0

@@ -128,7 +128,7 @@ class Heights:
         for _ in range(MAX_ITERATIONS):
             scatter = _scatter(r)
             weight = huber_weights(r, scatter)
-            alike = _design_effect(points, weight * r)
+            alike = design_effect(points, weight * r)
             weight = weight / alike
             hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
             gradient = jacobian.T @ (weight * r) + pulls * x
@@ -187,7 +187,7 @@ class Heights:
         """
         r, jacobian, points = self.residuals(x)
         weight, count = huber_weights(r, _scatter(r)), len(x) - 1
-        weight = weight / _design_effect(points, weight * r)
+        weight = weight / design_effect(points, weight * r)
         weighted = self.mesh_error.without(points, weight, jacobian)
         hessian = jacobian.T @ weighted + np.diag(self.precision)
         gradient = weighted.T @ r + self.precision * x
@@ -253,9 +253,9 @@ def _cost(r: Array, scatter: float) -> float:
     return float(np.sum(np.where(z < HUBER, z**2 / 2, HUBER * z - HUBER**2 / 2)))
 
 
-def _design_effect(points: Array, residuals: Array) -> float:
-    """Variance of the mean of residuals (m,) that are alike in a cell of the body, in relation to
-    that of independent ones; at least 1. points (m, 3), m."""
-    cells = np.unique(np.floor(points / CELL), axis=0, return_inverse=True)[1].ravel()
+def design_effect(points: Array, residuals: Array, size: float = CELL) -> float:
+    """Variance of the mean of residuals (m,) that are alike in a cell of the body, of a size in m,
+    in relation to that of independent ones; at least 1. points (m, 3), m."""
+    cells = np.unique(np.floor(points / size), axis=0, return_inverse=True)[1].ravel()
     sums = sums_by_group(residuals, cells)
     return max(1.0, float(np.sum(sums**2) / max(np.sum(residuals**2), 1e-300)))

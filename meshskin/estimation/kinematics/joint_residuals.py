@@ -15,6 +15,8 @@ import numpy as np
 from ...core.arrays import Array
 from ...geometry.body import Body
 from ...robot.contact_kinematics import DELAYS, JOINTS, ContactKinematics, JointPath
+from .heights import design_effect
+from .mesh_error import CELL
 
 SIGNIFICANCE = 1e-3
 """Probability by chance below which a joint is named: one robot of 170 with six sound joints is."""
@@ -22,7 +24,10 @@ LARGEST = 0.05
 """Standard deviation of alpha, beta and gamma before, rad: three degrees, more than any encoder
 that works is off. It keeps joints that hardly move the body from standing for others."""
 CORRELATED = 10.0
-"""Contacts that count as one, as neighbouring ones share the errors of mesh and joints."""
+"""Contacts, at least, that count as one, as neighbouring ones share the errors of mesh and joints;
+more where what the joint leaves unexplained is alike in cells of the body (design_effect)."""
+CELLS = CELL * np.array([1.0, 2.0, 4.0, 8.0])
+"""Sizes of these cells, m: from those of a mesh's errors to half a link."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +69,8 @@ def joint_residuals(
     for name in names:
         known[alone.columns[name]] = s[kinematics.columns[name]]
     centres, slopes = alone.centres(path, time, known)
-    by_joint = slopes[:, :, alone.columns[JOINTS]]
-    by_joint = np.einsum("mi,mij->mj", body.closest(centres).normal, by_joint)
+    hit = body.closest(centres)
+    by_joint = np.einsum("mi,mij->mj", hit.normal, slopes[:, :, alone.columns[JOINTS]])
     angles, total = path.at(time, alone.delays(known))[0], max(float(r @ r), 1e-24)
     found = []
     for k, name in enumerate(alone.chain.joint_names):
@@ -76,7 +81,8 @@ def joint_residuals(
         weights = np.linalg.solve(effect.T @ effect + prior, effect.T @ r)
         rest = r - by_joint[:, k] * (shapes @ weights)
         explained = 1 - float(rest @ rest) / total
-        free = max(len(r) / CORRELATED - 3, 1.0)
+        alike = max(CORRELATED, *(design_effect(hit.point, rest, size) for size in CELLS))
+        free = max(len(r) / alike - 3, 1.0)
         ratio = explained / 3 / max((1 - explained) / free, 1e-12)
         error = float(np.sqrt(np.mean((shapes @ weights) ** 2)))
         found.append(JointResidual(name, error, explained, float(fdtrc(3, free, ratio))))

@@ -11,7 +11,7 @@ from meshskin.estimation.kinematics.calibrate_log import calibrate_log
 from meshskin.estimation.kinematics.clock import first_offset
 from meshskin.estimation.kinematics.heights import Heights, timed_by_the_fastest
 from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, position_errors
-from meshskin.recording.log_contacts import contact_frames, joint_path, recording_of
+from meshskin.recording.log_contacts import at_clock, contact_frames, joint_path, recording_of
 
 from .simulated_log import CLOCK, explore
 
@@ -66,8 +66,16 @@ def test_an_indenter_deeper_than_its_radius_is_refused(small):
         calibrate_log(small.log, raised, belief(small))
 
 
-def test_a_small_exploration(small):
+def test_a_small_exploration(small, monkeypatch):
+    clocks = []
+
+    def spied(log, offset):
+        clocks.append(offset)
+        return at_clock(log, offset)
+
+    monkeypatch.setattr("meshskin.estimation.kinematics.calibrate_log.at_clock", spied)
     found = calibrate_log(small.log, small.kinematics(**KNOWN), belief(small))
+    assert clocks[-1] == pytest.approx(CLOCK, abs=0.01)  # contacts are chosen where they happened
     check(small, found, 1.2)
     assert found.rounds <= 3
     assert np.median(found.calibration.position_sigma) < 1e-4
@@ -112,7 +120,7 @@ def test_clocks_far_apart_give_a_start(small):
     later = replace(
         log, readings=np.roll(log.readings, 75, axis=0), in_contact=np.roll(log.in_contact, 75)
     )  # by 3 s of frames, and by 0.6 s of each gap between that a frame passed
-    for moved, offset in ((log, 0.0), (late, CLOCK + 0.48), (later, CLOCK + 3.0)):
+    for moved, offset in ((log, CLOCK), (late, CLOCK + 0.48), (later, CLOCK + 3.0)):
         rows = contact_frames(moved)
         none = np.zeros(len(model.labels))
         found = first_offset(model, path, log.time[rows], moved.readings[rows], none)

@@ -45,3 +45,17 @@ def test_noise_names_no_joint(setting):
     for found in joint_residuals(kinematics, path, time, body, r, np.zeros(6)):
         assert found.chance > SIGNIFICANCE
         assert found.words == ""
+
+
+def test_errors_of_the_surface_name_no_joint(setting):
+    """Fields over the body, as of a mesh or of a stiffness that varies, and no error of a joint."""
+    kinematics, path, time, body, _ = setting
+    points = body.closest(kinematics.centres(path, time, np.zeros(6))[0]).point
+    named = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        waves, phases = rng.normal(size=(40, 3)) / 0.01, rng.uniform(0, 2 * np.pi, 40)
+        r = 5e-6 * np.cos(points @ waves.T + phases).sum(axis=1)
+        found = joint_residuals(kinematics, path, time, body, r, np.zeros(6))
+        named += any(one.words for one in found)
+    assert named <= 3
