@@ -45,10 +45,6 @@ where that exceeds 1: the noise is not known, or the model misfits."""
 MAX_VARIANCE = 25.0
 """Variance of the residuals, in units of a known noise, above which no rivals are looked for: the
 model is wrong, and what is likely under it says nothing."""
-MAX_UNCONVERGED, FEW_UNCONVERGED = 0.3, 3
-"""Part of the taxels, and least number, without an optimum of their own above which no rivals are
-looked for: 0 to 2 of 100 where the model fits, 26 to 37 of 80 with contact points of other rows,
-where the search took 22 of 58 s of processor time."""
 MIN_DISTANCE = 0.05
 """Least distance of a rival from the estimate, in reaches of a contact."""
 MIN_ON_SHEET = 0.5
@@ -79,6 +75,11 @@ class RivalOptima:
     log_odds: Array
     """Log-likelihood (n,) of the estimate minus that of the rival."""
 
+    @classmethod
+    def none(cls, n: int) -> RivalOptima:
+        """No rivals of n taxels."""
+        return cls(np.full((n, 3), np.nan), np.full(n, np.inf))
+
 
 def resolve_rivals(estimator: JointEstimator) -> RivalOptima:
     """Move taxels to rival optima that fit better; returns the rivals that remain.
@@ -107,15 +108,13 @@ def find_rivals(estimator: JointEstimator, among: np.ndarray | None = None) -> R
     """The rival optima of a converged estimate, of the taxels `among` (n,) bool, by default of
     all."""
     n = len(estimator.live)
-    best = RivalOptima(np.full((n, 3), np.nan), np.full(n, np.inf))
+    best = RivalOptima.none(n)
     if not isinstance(estimator.problem.parametrization, SurfaceParametrization):
         return best
     points = estimator.problem.points(estimator.state)
     wide = open_sectors(estimator, points) > OPEN_SECTOR
     rows = np.flatnonzero(wide if among is None else wide & among)
     if not len(rows):
-        return best
-    if estimator.unconverged.sum() > max(FEW_UNCONVERGED, MAX_UNCONVERGED * n):
         return best
     observed = estimator.likelihood.readings.kind == OBSERVED
     variance = float(estimator.state.moments.square.sum()) / max(int(observed.sum()), 1)

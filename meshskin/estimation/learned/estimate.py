@@ -42,14 +42,14 @@ from ..joint.outlier_rejection import displaced_contacts, minority, reject_outli
 from ..joint.parametrization import SurfaceParametrization, Unknowns
 from ..joint.pressure import CENSORED, OBSERVED
 from ..joint.readings import Readings, select
-from ..joint.rival_optima import resolve_rivals
+from ..joint.rival_optima import RivalOptima, resolve_rivals
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import EstimatorResult, LearnedResponse
 from ..trilateration import coactivation, trilaterate
 from .departure_search import first_estimate, plausible, with_departures
 from .deviations import UNMEASURED_FORCE, Deviations
 from .modules import moved_to_modules
-from .random_effects import RandomEffects
+from .random_effects import MAX_ITERATIONS, RandomEffects
 from .response_groups import response_groups
 from .result import learned_result
 
@@ -74,13 +74,12 @@ MAX_ROUNDS = 3
 USUAL_STEPS = 30
 """Usual steps of Gauss and Newton, of variances, and of searches for second optima."""
 LEVEL_SAMPLE = 1000
-"""Taxels and contacts, about, whose mean level the compression refers to: more change it by less
-than a hundredth."""
+"""Taxels and contacts whose mean level the compression refers to: more change it by below 1 %."""
 MAX_LACKING = 0.02
 """Fraction of readings beyond the believed reach from which they are selected anew: a Hertz world
 has less, a cover with readings to the power 0.6 a fourth."""
 LAGGING = 0.5
-"""Displacement, in contact radii, up to which drag or a lag may be what displaces contacts."""
+"""Displacement of contacts, in contact radii, up to which it may be by drag or a lag."""
 MOVED = 0.02
 """Move of a taxel, in contact radii, from which it is at another optimum."""
 
@@ -124,6 +123,7 @@ def _attempt(
     effects = _begin(with_learned_response(data, start.points), live, start, stage)
     weight, begin = np.ones(len(data.pressure)), (effects.unknowns, effects.deviations)
     effects = first_estimate(effects)
+    settled = len(effects.iterates) <= MAX_ITERATIONS
     if len(bad := _displaced(effects, recorded, LAGGING)):  # departures would stand in for them
         return recorded.without_contacts(bad), excluded
     effects, departures, ended = with_departures(effects, begin, excluded)
@@ -136,7 +136,7 @@ def _attempt(
         return recorded.without_contacts(bad), excluded
     for repeated in range(MAX_ROUNDS if ended else 1):  # others would not bring it to rest
         estimator = reject_outliers(_frozen(effects, live, weight) if repeated else frozen)
-        rivals = resolve_rivals(estimator)
+        rivals = resolve_rivals(estimator) if ended or settled else RivalOptima.none(len(live))
         if not _changed(effects, estimator, weight):
             break
         weight = estimator.weight

@@ -82,21 +82,6 @@ def test_the_likelier_of_two_optima_is_the_estimate(line):
     assert estimator.state.moments.cost[row] == pytest.approx(min(costs), rel=0.01)
 
 
-def test_no_rivals_are_sought_where_the_taxels_do_not_converge(line):
-    scene, calibration, far = line
-    data = gather(strip_recording(scene, far), scene.belief())
-    live = np.flatnonzero(np.isfinite(calibration.positions[:, 0]))
-    charts = charts_at(data.body, calibration.positions[live], calibration.poses[live, :3, :3])
-    parametrization = SurfaceParametrization(charts, float(np.median(data.radii)) / 2)
-    estimator = JointEstimator(data, live, parametrization, np.ones(len(data.pressure)), 30)
-    estimator.converge()
-    most = int(max(rival_optima.FEW_UNCONVERGED, rival_optima.MAX_UNCONVERGED * len(live)))
-    for count in (most, most + 1):
-        estimator.unconverged = np.arange(len(live)) < count
-        found = np.isfinite(find_rivals(estimator).log_odds)
-        assert found.any() == (count == most)
-
-
 def test_no_taxel_is_confidently_wrong(line):
     scene, calibration, _ = line
     error = np.linalg.norm(calibration.positions - scene.skin.positions, axis=1)

@@ -7,8 +7,9 @@ import pytest
 
 from meshskin.core.progress import Stage
 from meshskin.estimation.calibrate import Estimation, calibrate
+from meshskin.estimation.joint.rival_optima import RivalOptima
 from meshskin.estimation.learned import departure_search, estimate
-from meshskin.estimation.learned.random_effects import MAX_IMPLAUSIBLE
+from meshskin.estimation.learned.random_effects import MAX_IMPLAUSIBLE, MAX_ITERATIONS
 
 from .test_estimate import RADIUS, belief, bell, recording, world
 from .test_first_response import started  # noqa: F401
@@ -101,6 +102,27 @@ def test_displaced_contacts_are_left_out_before_departures_are_searched(monkeypa
     calibrate(recording(points, *others), belief(contact="learned"))
     assert len(seen) == 1
     assert 8 <= seen[0] <= 12  # 10 are displaced
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_rivals_are_sought_of_an_estimate_that_has_come_to_rest(monkeypatch, ended):
+    """Or whose search for departures has come to an end."""
+    first, sought = estimate.first_estimate, []
+
+    def unsettled(effects):
+        effects = first(effects)
+        effects.iterates = (MAX_ITERATIONS + 1) * effects.iterates[:1]
+        return effects
+
+    def resolve(estimator):
+        sought.append(estimator)
+        return RivalOptima.none(len(estimator.live))
+
+    monkeypatch.setattr(estimate, "first_estimate", unsettled)
+    monkeypatch.setattr(estimate, "with_departures", lambda effects, *_: (effects, {}, ended))
+    monkeypatch.setattr(estimate, "resolve_rivals", resolve)
+    calibrate(recording(*world(bell, contacts=300)), belief(contact="learned"))
+    assert bool(sought) is ended
 
 
 @pytest.mark.parametrize("equal", [False, True])
