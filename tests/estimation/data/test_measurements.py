@@ -101,6 +101,22 @@ def test_late_readings_are_moved_to_their_contacts(world, frames):
     assert seen == [frames, 0]  # nine taxels may show it by chance
 
 
+def test_one_frame_shows_in_strokes_both_ways(world):
+    """0.5 mm a frame: the contacts of a taxel spread by 4 % more."""
+    whole = world.record(0.01, 0.05)
+    jumps = np.linalg.norm(np.diff(whole.points, axis=0), axis=1) > 1e-3
+    lane = np.cumsum(np.append(0, jumps))
+    rows = [np.flatnonzero(lane == k) for k in range(lane[-1] + 1)]
+    order = np.concatenate([row[::-1] if k % 2 else row for k, row in enumerate(rows)])
+    contacts = whole.contacts.take(pa.array(order)).set_column(0, "time", pa.array(whole.time))
+    for frames in (0, 1):
+        row = np.argsort(order)[whole.reading_contact] + frames
+        readings = whole.readings.filter(pa.array(row < len(order)))
+        time = pa.array(whole.time[row[row < len(order)]])
+        late = Recording(contacts, readings.set_column(0, "time", time), {})
+        assert gather(late, world.belief(0.01, 0.05)).delay == frames
+
+
 def test_pauses_show_no_delay_and_are_not_crossed(world):
     """Contacts one by one, at irregular times: no other contact is in time."""
     whole = world.record()
