@@ -83,7 +83,7 @@ def test_a_search_that_takes_too_long_is_refused(world, monkeypatch):
     monkeypatch.setattr(reduced_nlp, "MAX_EVALUATIONS", (1.0, 0.0))
     said = r"did not converge.*\d evaluations of all taxels.*scale of pressures"
     with pytest.raises(CalibrationError, match=said):
-        maximum_likelihood.estimate(far)
+        maximum_likelihood.optimum(far)
 
 
 def test_a_move_of_the_contacts_that_raises_the_cost_is_taken_back(world):
