@@ -188,12 +188,12 @@ class JointEstimator:
                 break
             problem.solve_inner(self.state, most=steps)
             tried += self.state.decrement > problem.inner_tolerance
-            self.resting = tried >= TRIED
+            self.resting = problem.resting = tried >= TRIED
             here = problem, self.likelihood, self.selected_at, self.state
             self.stage.step()
             self.record(self.state)
             if not self.frozen:
-                status = self._solve_shared(status, self.resting)
+                status = self._solve_shared(status)
             self._relinearize_here()
             moved = not self.frozen and self.data.parameters.move_contacts
             if moved and not self._decreases(here, steps):
@@ -240,14 +240,10 @@ class JointEstimator:
         self.unconverged = (decrement > self.tolerance)[problem.parametrization.group]
         return False
 
-    def _solve_shared(self, status: str, resting: np.ndarray) -> str:
-        """Bring the global parameters to their optimum, with groups that rest or reached no optimum
-        where they are; returns IPOPT's status, the last one where they are there already.
-
-        resting: groups (G,) bool. Raises CalibrationError if they do not converge.
-        """
+    def _solve_shared(self, status: str) -> str:
+        """Bring the global parameters to their optimum; returns IPOPT's status, the last one where
+        they are there already. Raises CalibrationError if they do not converge."""
         problem = self.problem
-        problem.resting = resting | (self.state.decrement > problem.inner_tolerance)
         reduced = problem.reduce(self.state)
         if reduced.decrement > self.tolerance:
             self.state, status = minimize(
