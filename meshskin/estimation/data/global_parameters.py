@@ -165,7 +165,11 @@ class GlobalParameters:
         """A name (ks,) for every entry of s."""
         axes = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
         entries = {
-            "exponents": ("of the radius", "of the peak", "of the radius in force errors"),
+            "exponents": (
+                "of the radius",
+                "of the peak",
+                ERROR_EXPONENT.removeprefix("exponents "),
+            ),
             "hysteresis": ("share", "width"),
             "creep": ("share", "time constant", "lift"),
             **dict.fromkeys(WARMING, tuple(str(k + 1) for k in range(DRIFT_SIZE))),

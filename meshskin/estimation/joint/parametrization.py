@@ -77,8 +77,8 @@ class SurfaceParametrization:
     size: int = 2
     """Coordinates of a taxel."""
     side: Array | None = None
-    """Mean normals (n, 3) of the contacts that press the taxels, which stay on that side of the
-    body; None: on any."""
+    """Mean normals (n, 3) of the contacts that press the taxels, shorter where these surround an
+    edge; the taxels stay on that side of the body. None: on any."""
 
     @classmethod
     def of(
@@ -119,12 +119,16 @@ class SurfaceParametrization:
     def relinearized(self, body: Body, z: Array) -> SurfaceParametrization:
         """Charts about the surface points closest to z (n, 2); the shape operators are kept.
 
-        Steps that lead past the rim of a wall to its other side are halved: a contact presses what
-        lies in its tangent plane, so that the readings fit there as well.
+        Steps that lead past the rim of a wall to its other side are halved, but of taxels that are
+        there: a contact presses what lies in its tangent plane, so that the readings fit there as
+        well.
         """
-        charts = chart.relinearized(body, self.charts, z)
+        charts, away = (
+            chart.relinearized(body, self.charts, z),
+            self._on_other_side(self.charts.normals),
+        )
         for _ in range(HALVINGS):
-            turned = self._on_other_side(charts.normals)
+            turned = self._on_other_side(charts.normals) & ~away
             if not turned.any():
                 break
             z = np.where(turned[:, None], z / 2, z)

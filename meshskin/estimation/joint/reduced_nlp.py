@@ -23,9 +23,9 @@ NEWTON_TOLERANCE = 1e-8
 sqrt(2e-8) = 1.4e-4 standard deviations."""
 MAX_EVALUATIONS = 90.0, 15.0
 """Evaluations of all taxels, and more for each global parameter, in which an estimate must
-converge; one of a taxel counts 1 over their number. 6 to 12 are usual. The most where the model
-fits were 32 with a modulus 30 times its belief, and 103 with seven global parameters, among them a
-body offset; pressures 4 to 10 times wrong took 150 to 3000."""
+converge; one of a taxel counts 1 over their number, or LEAST_PART. 3 to 12 are usual. The most
+where the model fits were 32 with a modulus 30 times its belief, and 103 with seven global
+parameters, among them a body offset; pressures 4 to 10 times wrong took 150 to 3000."""
 
 
 def minimize(
@@ -65,7 +65,8 @@ def minimize(
     reached.check()
     evaluator.at(found)
     if evaluator.spent and not evaluator.near():
-        return evaluator.best, f"{problem.evaluations:.0f} evaluations of all taxels"
+        spent = f"{problem.evaluations:.0f} evaluations of all taxels, limit {evaluator.most:.0f}"
+        return evaluator.best, spent
     return evaluator.last, str(run.stats()["return_status"])
 
 

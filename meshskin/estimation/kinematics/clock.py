@@ -13,7 +13,7 @@ import numpy as np
 from ...core.arrays import Array
 from ...recording.clock_offset import peak
 from ...robot.contact_kinematics import ContactKinematics, JointPath
-from ..data.delay import CHANCE, LATE_GAIN, MIN_USED, comparison, spreads
+from ..data.delay import CHANCE, MIN_USED, comparison, spreads
 
 LARGEST = 6.0
 """Largest offset, s, that is looked for. Chosen: more than buffers and networks delay, and clocks
@@ -25,6 +25,9 @@ FAR_GAIN = 0.5
 """Mean spread, relative to that with no offset, from which chance is no question. The mean, not the
 median, is compared: at an offset of seconds a few contacts lie on the way from one pass to the
 next, far from all others."""
+LATE_GAIN = 0.9
+"""Mean spread, relative to that with no offset, below which one that chance does not explain is an
+offset of the clocks."""
 NEAR = 0.1
 """Offset, s, up to which the contacts of a pass stay beside their taxel (4 mm at 40 mm/s), so that
 the spread is one valley about the true one: its bottom may be flat, but its side at half the way

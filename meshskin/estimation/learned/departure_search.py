@@ -42,9 +42,9 @@ MAX_FILTERED = 1.2
 FILTER_LIFT = 0.05
 """Prior standard deviation of the lift of a low-pass filter, which works all the time."""
 MAX_SPENT = 40
-"""Steps of Gauss and Newton by departures that do not stay, after which the search ends: none in
-studies/foreign_worlds.py, seed 0, but in "skewed", where the search ends anyway; contact points
-scattered by 1 mm on a link had 240 and more, for nothing."""
+"""Steps of Gauss and Newton by departures that do not stay, after which the search ends. No world
+of studies/foreign_worlds.py, seed 0, has more but "skewed", where the search ends anyway; contact
+points scattered by 1 mm on a link had 240 and more, for nothing."""
 LEAST_GAIN = 0.5
 """Least increase of the log-likelihood by a departure, relative to what its score promises: 1.4 to
 5 where the readings have it, 0 to 0.1 where it stands in for another (studies/foreign_worlds.py

@@ -178,7 +178,8 @@ def _late(data: Measurements) -> list[Finding]:
         f"the readings are {count} too {'late' if data.delay > 0 else 'early'}, in which the "
         f"contact moves {1e3 * path:.2g} mm: moved back by that, the contacts that each taxel "
         "responds to lie closer together, and so they were used; parts of a frame are counted in "
-        "the standard deviations; correct the times of the readings"
+        "the standard deviations; correct the times of the readings, unless the skin is dragged "
+        "along, which looks alike"
     )
     return [(DOUBT, words)]
 

@@ -26,9 +26,9 @@ indentation, up to which they are on it: 0.04 mm for the paper's skin."""
 WEAK = 0.03
 """Singular value, relative to the largest, of a direction in which a displacement hardly changes
 the distances, so that it is none."""
-BETTER = 4.0
-"""Ratio of the mean squared distances after one and after two, from which these are named:
-that of a steady drift."""
+BETTER = 6.0
+"""Ratio of the mean squared distances after one and after two, from which these are named: that of
+a steady drift is 4, which is named as such."""
 
 
 @dataclass(frozen=True)
@@ -48,17 +48,21 @@ class Displacements:
 
 
 def displacements(data: Measurements, points: Array) -> Displacements:
-    """Those of contact points (k, 3), m, in the order of their times."""
+    """Those of contact points (k, 3), m, in the order of their times.
+
+    A depth of all, as of a body of another size, is taken off with them, and is no displacement.
+    """
     hit, count = data.body.closest(points), len(points)
     best, found = np.inf, list[Array]()
     for begin in range(0, count, -(-count // PLACES)):
         later = (np.arange(count) >= begin)[:, None]
-        columns = np.hstack([hit.normal * ~later, hit.normal * later])
+        columns = np.hstack([hit.normal * ~later, hit.normal * later, np.ones((count, 1))])
         x = np.linalg.lstsq(columns, hit.distance, rcond=WEAK)[0]
         left = float(np.sum((hit.distance - columns @ x) ** 2))
         if not found or left < best:
-            best, part, apart = left, begin / count, float(np.linalg.norm(x[3:] - x[:3]))
-            found = [*found[:1], points - np.where(later, x[3:], x[:3])]
+            best, part, apart = left, begin / count, float(np.linalg.norm(x[3:6] - x[:3]))
+            moved = points - np.where(later, x[3:6], x[:3]) - x[6] * hit.normal
+            found = [*found[:1], moved]
     one, two = (float(np.mean(data.body.closest(p).distance ** 2)) for p in (found[0], found[-1]))
     return Displacements(part, found[-1], one, two, apart)
 

@@ -21,6 +21,19 @@ def test_a_step_past_a_rim_does_not_end_on_the_other_side():
     assert OTHER_SIDE < kept.charts.normals[0, 2] < 0.0  # on its way, and no further
 
 
+def test_a_taxel_that_starts_on_the_other_side_finds_back():
+    lens = Body.ellipsoid((0.03, 0.03, 0.002))
+    start = lens.closest(np.array([[0.028, 0.0, -0.0008]])).point
+    places = SurfaceParametrization(
+        chart.charts_at(lens, start), 5e-3, side=np.array([[0.0, 0.0, 1.0]])
+    )
+    assert places.charts.normals[0, 2] < OTHER_SIDE
+    for _ in range(6):
+        outward = places.charts.tangents[0].T @ np.array([1e-3, 0.0, 0.0])
+        places = places.relinearized(lens, outward[None])
+    assert places.charts.normals[0, 2] > OTHER_SIDE
+
+
 def test_the_side_of_a_taxel_is_that_of_its_contacts(world):
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
     live = np.arange(0, len(world.ids), 2)

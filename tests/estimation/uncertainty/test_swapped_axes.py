@@ -9,6 +9,7 @@ import trimesh
 
 import meshskin as ms
 from meshskin.estimation.data.gather import gather
+from meshskin.estimation.uncertainty import mounted_anew
 from meshskin.estimation.uncertainty.swapped_axes import nearer_axes, signed_permutations
 from meshskin.geometry.region import Cap
 
@@ -107,3 +108,17 @@ def test_each_order_and_sign_of_the_axes_is_tried_once():
     assert len({tuple(one.ravel()) for one in axes}) == 47
     np.testing.assert_array_equal(np.abs(np.linalg.det(axes)), 1.0)
     assert not (axes == np.eye(3)).all(axis=(1, 2)).any()
+
+
+def test_a_body_of_another_size_has_not_moved(off_plane):
+    """One side is touched after the other; both lie 0.3 mm below the believed surface."""
+    body, rng = off_plane.body, np.random.default_rng(0)
+    across, side = rng.uniform(-0.5, 0.5, (400, 2)), np.repeat([1.0, -1.0], 200)
+    points = body.closest(0.05 * np.column_stack([side, across]) + [0.0, 1.5e-3, 0.0]).point
+    middle = np.array([0.0, 1.5e-3, 0.0])
+    data = gather(log(off_plane, np.ones(3)), off_plane.belief())
+    assert not mounted_anew.findings(data, middle + (1 - 0.3 / 50) * (points - middle))
+    moved = points + np.where(side[:, None] > 0, 0.0, [0.0, 0.0, 1e-3])
+    words = mounted_anew.findings(data, moved)[0][1]
+    assert "at about 50%" in words
+    assert "another 1 mm" in words
