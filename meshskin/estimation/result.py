@@ -77,7 +77,8 @@ class LearnedResponse(Value):
     contact_correlation: float
     """Correlation of the displacements of neighbouring contacts."""
     force_scatter: float
-    """Standard deviation of ln force."""
+    """Standard deviation of the errors of ln force, as of forces that change the readings as much:
+    errors of the amplitude of whole patches count here, too, by their effect."""
     noise: float
     """Standard deviation of a reading, its constant part."""
     noise_relative: float
