@@ -167,8 +167,9 @@ class JointEstimator:
         self.relinearize(moved, self.state.s, z, select_anew)
 
     def converge(self, most: int = MAX_RELINEARIZATIONS, steps: int = MAX_STEPS) -> None:
-        """Optimize and linearize until nothing moves; taxels that do not converge are marked in
-        `unconverged`. Those that take all steps in TRIED linearizations stay where they are.
+        """Optimize and linearize until nothing moves; taxels that do not converge, or to the other
+        side of the body than their contacts', are marked in `unconverged`. Those that take all
+        steps in TRIED linearizations stay where they are.
 
         most: linearizations; steps: Gauss-Newton steps of a taxel in each. Raises CalibrationError
         if the global parameters do not converge.
@@ -198,6 +199,8 @@ class JointEstimator:
             moved = not self.frozen and self.data.parameters.move_contacts
             if moved and not self._decreases(here, steps):
                 break
+        if isinstance(self.problem.parametrization, SurfaceParametrization):
+            self.unconverged |= self.problem.parametrization.on_other_side
         self.resting = self.problem.resting = None
         self.seconds["solve"] += time.perf_counter() - clock
 
@@ -257,13 +260,14 @@ class JointEstimator:
         least = max(MAX_DECREMENT, 1e-9 * len(self.data.pressure)) * self.slack
         limit = max(least, 100 * self.tolerance)
         if not reduced.decrement < limit:
+            more = "; raise the iteration limit, calibrate(iterations=...)"
             raise CalibrationError(
                 "the joint estimate did not converge",
                 value=f"Newton decrement {reduced.decrement:.3g}, {status}",
                 limit=limit,
                 remedy="check the scale of pressures and forces, that points and readings have the "
-                "same times, the contact model and the noise; raise the iteration limit, "
-                "calibrate(iterations=...)",
+                "same times, the contact model and the noise"
+                + (more if status == "Maximum_Iterations_Exceeded" else ""),
             )
 
     def record(self, state: State) -> None:

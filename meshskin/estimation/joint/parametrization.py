@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 OTHER_SIDE = -0.5
-"""Cosine of the angle between the normals of a taxel and of its contacts below which it is on the
-other side of a wall: 120 degrees; the face of a rim is at 90."""
+"""Scalar product of the normal of a taxel with the mean of those of its contacts below which it is
+on the other side of a wall: 120 degrees where these are alike; the face of a rim is at 90."""
 HALVINGS = 12
 """Halvings of a step, at most: to a few micrometres."""
 
@@ -119,24 +119,26 @@ class SurfaceParametrization:
     def relinearized(self, body: Body, z: Array) -> SurfaceParametrization:
         """Charts about the surface points closest to z (n, 2); the shape operators are kept.
 
-        Steps that lead past the rim of a wall to its other side are halved, but of taxels that are
-        there: a contact presses what lies in its tangent plane, so that the readings fit there as
-        well.
+        Steps that lead past the rim of a wall to its other side are halved: a contact presses what
+        lies in its tangent plane, so that the readings fit there as well. Taxels that are on the
+        other side already move freely.
         """
-        charts, away = (
-            chart.relinearized(body, self.charts, z),
-            self._on_other_side(self.charts.normals),
-        )
+        charts = chart.relinearized(body, self.charts, z)
         for _ in range(HALVINGS):
-            turned = self._on_other_side(charts.normals) & ~away
+            turned = self._turned(charts.normals) & ~self.on_other_side
             if not turned.any():
                 break
             z = np.where(turned[:, None], z / 2, z)
             charts = chart.relinearized(body, self.charts, z)
         return replace(self, charts=charts)
 
-    def _on_other_side(self, normals: Array) -> np.ndarray:
-        """Taxels (n,) bool whose `normals` (n, 3) are those of the other side of a wall."""
+    @property
+    def on_other_side(self) -> np.ndarray:
+        """Taxels (n,) bool that are not on the side of the body whose contacts press them."""
+        return self._turned(self.charts.normals)
+
+    def _turned(self, normals: Array) -> np.ndarray:
+        """Taxels (n,) bool for which `normals` (n, 3) are those of the other side of a wall."""
         if self.side is None:
             return np.zeros(len(normals), dtype=bool)
         return np.asarray(np.einsum("ni,ni->n", normals, self.side) < OTHER_SIDE)

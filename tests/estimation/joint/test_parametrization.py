@@ -1,10 +1,13 @@
 """Positions on the surface stay on the side of the body whose contacts press them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from meshskin.estimation import chart
 from meshskin.estimation.data.gather import gather
+from meshskin.estimation.joint.joint_estimator import JointEstimator
 from meshskin.estimation.joint.parametrization import OTHER_SIDE, SurfaceParametrization
 from meshskin.geometry.body import Body
 
@@ -27,11 +30,11 @@ def test_a_taxel_that_starts_on_the_other_side_finds_back():
     places = SurfaceParametrization(
         chart.charts_at(lens, start), 5e-3, side=np.array([[0.0, 0.0, 1.0]])
     )
-    assert places.charts.normals[0, 2] < OTHER_SIDE
+    assert places.on_other_side.tolist() == [True]
     for _ in range(6):
         outward = places.charts.tangents[0].T @ np.array([1e-3, 0.0, 0.0])
         places = places.relinearized(lens, outward[None])
-    assert places.charts.normals[0, 2] > OTHER_SIDE
+    assert places.on_other_side.tolist() == [False]
 
 
 def test_the_side_of_a_taxel_is_that_of_its_contacts(world):
@@ -40,3 +43,14 @@ def test_the_side_of_a_taxel_is_that_of_its_contacts(world):
     charts = chart.charts_at(world.body, world.truth[live])
     side = SurfaceParametrization.of(data, live, charts, 1e-3).side
     assert np.einsum("ni,ni->n", side, charts.normals).min() > 0.98
+
+
+def test_taxels_on_another_side_than_their_contacts_are_not_determined(world):
+    data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
+    live, weight = np.arange(len(world.ids)), np.ones(len(data.pressure))
+    places = SurfaceParametrization.of(data, live, chart.charts_at(world.body, world.truth), 1e-3)
+    other = np.arange(len(live)) < 3
+    turned = replace(places, side=np.where(other[:, None], -places.side, places.side))
+    estimator = JointEstimator(data, live, turned, weight, 30)
+    estimator.converge()
+    assert estimator.unconverged.tolist() == other.tolist()
