@@ -87,9 +87,10 @@ def _by_spacing(
     """Sites at a mean distance of `spacing` (m); with `count`, at least so many about the centre.
 
     Where the lattice cannot close evenly, its sites come closer than they should: it is laid out
-    again with a larger spacing.
+    again with a larger spacing; of all lattices, that of the nearest mean distance is taken.
     """
     first = lattice.first_site(body, region, spacing, random_stream(seed, "skin layout"))
+    best, least = first, np.inf
     refinements = 0 if count is not None else _refinements(regions.area(body, region), spacing)
     target = spacing / RELAXED_SPACING if refinements else spacing
     for _ in range(1 + RETRIES):
@@ -104,10 +105,13 @@ def _by_spacing(
         if found.spacing()[1] > SCATTER_TOLERANCE:
             found = lattice.relax(body, region, found, target, stage)
         mean, _ = found.spacing()
-        if len(found) < 3 or abs(mean / spacing - 1) < MEAN_TOLERANCE:
+        error = 0.0 if len(found) < 3 else abs(mean / spacing - 1)
+        if not error >= least:
+            best, least = found, error
+        if error < MEAN_TOLERANCE:
             break
         target *= spacing / mean
-    return _from_centre(body, region, found, spacing)
+    return _from_centre(body, region, best, spacing)
 
 
 def _about(

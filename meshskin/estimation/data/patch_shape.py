@@ -73,8 +73,10 @@ MAX_EDGES = 0.9
 """Largest part of the contacts over edges: residuals of the others, some ten of a usual recording
 at least, tell of noise and model."""
 GRAZING = 1e-6
-"""Sine of the elevation over the surface within which a point in a tangent plane is outside of it:
-far above rounding."""
+"""Sine of the elevation over the surface within which the normal there does not tell the side of a
+point in a tangent plane: far above rounding."""
+LIFT = 1e-3
+"""Elevation of such a point, in distances to the surface, at which the normal tells its side."""
 
 
 def unevenness(belief: Belief, hit: Closest, radius: Array | float) -> Array:
@@ -156,9 +158,15 @@ def _heights(body: Body, hit: Closest, basis: Array, places: Array) -> Array:
     `hit` above the surface; basis (m, 3, 3): tangents and normal as columns."""
     at = hit.point[:, None] + places @ np.swapaxes(basis[:, :, :2], 1, 2)
     at = at.reshape(-1, 3)
-    above = body.surface.nearest(at, np.repeat(hit.face, places.shape[-2]))
+    face = np.repeat(hit.face, places.shape[-2])
+    above = body.surface.nearest(at, face)
     apart, up = np.abs(above.distance), np.einsum("ij,ij->i", at - above.point, above.normal)
-    # over an edge of the body the normal there is that of one of its faces
+    # at an edge or a crease of the body, the normal may be that of the face of the contact itself
+    level = np.flatnonzero((np.abs(up) < GRAZING * apart) & (apart > GRAZING * np.max(places)))
+    if len(level):
+        lift = LIFT * apart[level, None] * np.repeat(hit.normal, places.shape[-2], axis=0)[level]
+        lifted = body.surface.nearest(at[level] + lift, face[level])
+        up[level] = np.einsum("ij,ij->i", at[level] + lift - lifted.point, lifted.normal)
     return np.where(up < -GRAZING * apart, -apart, apart).reshape(len(basis), -1)
 
 
