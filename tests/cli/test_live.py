@@ -133,6 +133,7 @@ def test_the_page_ends_with_the_calibration_of_all_contacts(
     assert len(shown) == (count == 9)
 
 
+@pytest.mark.slow
 def test_contacts_that_no_contact_model_describes_are_replayed(noisy, viewer, tmp_path, capsys):
     """Where the skin is believed softer than contact models reach, its response is learned."""
     rng = np.random.default_rng(0)

@@ -69,6 +69,7 @@ def test_init_writes_a_scene_that_loads(mesh, tmp_path, capsys):
     assert "exists already" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_init_opens_a_mesh_with_borders_and_refuses_a_strange_size(mesh, capsys, monkeypatch):
     monkeypatch.setattr(init, "RADII", (5e-3,))
     opened = mesh.copy()
@@ -83,6 +84,7 @@ def test_init_opens_a_mesh_with_borders_and_refuses_a_strange_size(mesh, capsys,
     assert cli.main(["init", "no.stl"]) == 2
 
 
+@pytest.mark.slow
 def test_init_asks_for_no_more_taxels_than_fit(mesh, tmp_path, monkeypatch):
     monkeypatch.setattr(init, "RADII", (5e-3,))
     mesh = mesh.copy()

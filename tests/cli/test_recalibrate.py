@@ -24,6 +24,7 @@ def files(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_an_exchange_is_named_and_diff_shows_it(files, capsys):
     out = files / "out"
     given = [files / "map.csv", files / "touches", "--scene", "sphere_noisy", "--out", out]

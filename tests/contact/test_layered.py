@@ -83,6 +83,7 @@ def relative_to_hertz(thickness, poisson, fine=1.0):
     return a / thickness, np.array([1 / a, peak / (1.5 * force / (np.pi * a**2)), depth / a**2])
 
 
+@pytest.mark.slow
 def test_finite_elements_converge_to_hertz():
     chi, values = relative_to_hertz(200.0, 0.3)
     assert chi < 0.006
@@ -92,7 +93,9 @@ def test_finite_elements_converge_to_hertz():
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.4, 0.45, 0.49])
-@pytest.mark.parametrize("thickness", [12.0, 2.2, 1.05, 0.6, 0.33])
+@pytest.mark.parametrize(
+    "thickness", [pytest.param(12.0, marks=pytest.mark.slow), 2.2, 1.05, 0.6, 0.33]
+)
 def test_against_finite_elements(thickness, poisson):
     chi, values = relative_to_hertz(thickness, poisson)
     assert 0.08 < chi < 5.5

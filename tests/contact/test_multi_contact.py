@@ -151,6 +151,7 @@ def test_overlapping_patches_raise():
         multi_contact.solve_contacts(shallow, [0.0, 0.0, 0.0101], 0.0102, **SOFT)
 
 
+@pytest.mark.slow
 def test_shallow_minima_on_a_fine_mesh_are_separate():
     """The closest faces lie off the minima: the iterations must not end in the other minimum."""
     shallow = height_field(lambda x, y: 52.0 * x**2, n=241)

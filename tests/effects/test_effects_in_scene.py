@@ -78,6 +78,7 @@ def test_modules_of_effects_that_are_off_are_not_imported():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+@pytest.mark.slow
 def test_effects_switched_off_again_leave_the_recording_bit_for_bit(small, plain):
     """After a simulation with all effects that can be on together."""
     run(small, *(name for name in effects.NAMES if name not in IDLE))

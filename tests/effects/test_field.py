@@ -96,6 +96,7 @@ def test_elliptic_patch_reads_the_pressure_of_its_contact_model(context, frame):
     assert EllipticPatch().build(context)(layered) == layered
 
 
+@pytest.mark.slow
 def test_ignoring_the_ellipse_shifts_taxels_by_less_than_its_bound():
     """On a body near the limit of the circular model."""
     plain = ms.Scene.load("sphere_noisy")

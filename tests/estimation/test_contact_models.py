@@ -89,6 +89,7 @@ def half_space(world, **changes):
     return world.belief(0.01, 0.05, contact="hertz", material=material, **changes)
 
 
+@pytest.mark.slow
 def test_a_layer_believed_to_be_a_half_space_does_not_fit(world):
     """By the readings of one force where E* is known; of several forces, whatever E* is."""
     for spread, unknown, least in ((0.01, (), 1.3), (0.6, ("modulus",), 1.2)):
@@ -114,6 +115,7 @@ def test_an_unknown_modulus_absorbs_a_layer_at_one_force(world):
     assert mistaken.modulus > 1.5 * thin.modulus
 
 
+@pytest.mark.slow
 def test_indenter_offset(worlds):
     world, d = worlds["elliptic"], np.array([3e-4, -2e-4, 1e-4])
     turn = np.random.default_rng(3).uniform(-3, 3, len(world.points))

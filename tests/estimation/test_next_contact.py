@@ -39,6 +39,7 @@ def sigma_of(found, row):
     return float(np.sqrt(np.trace(found.covariances[row, :2, :2])))
 
 
+@pytest.mark.slow
 def test_the_worst_taxel_is_aimed_at_and_gains_what_is_promised(world):
     belief = world.belief(0.01, 0.05)
     recording, _ = thinned(world, 18, 5)

@@ -124,6 +124,7 @@ def test_taxels_beyond_a_joint_limit_are_listed_and_the_others_explored(sphere):
         assert q[:, 4].max() < -0.9
 
 
+@pytest.mark.slow
 def test_the_inside_of_a_narrow_ring_is_left_out_with_the_reason():
     body = ms.Body.torus(0.06, 0.04)
     skin = ms.Skin.cover(body, spacing=10e-3, region=HalfSpace((0.0, 1.0, 0.0), 0.005))

@@ -101,6 +101,7 @@ def test_joined_paths_press_each_segment_with_its_own_force(dented):
         Path.concatenate([light, replace(full, forces=None)])
 
 
+@pytest.mark.slow
 def test_lighter_contacts_are_simulated_and_calibrated(dented):
     recording = ms.simulate(dented, seed=1)
     assert {0.75, 1.5, 3.0} & set(np.round(recording.force, 2)) > {3.0}

@@ -159,6 +159,7 @@ def test_values_out_of_range(radii, word):
         ms.reach(ms.Body.sphere(0.1), radii)
 
 
+@pytest.mark.slow
 @needs_icub
 def test_smaller_indenters_reach_more_of_an_icub_forearm():
     (file,) = DATA.glob("icub_body/meshes/sim_sea_2-5_l_forearm_prt-binary.stl")

@@ -94,7 +94,7 @@ def test_readings_that_never_change_are_refused(readings):
         answer(0 * level + 0.1 * np.arange(1, TAXELS + 1), force, dense=True, readings=readings)
 
 
-@pytest.mark.parametrize("readings", ["pressure", "raw"])
+@pytest.mark.parametrize("readings", [pytest.param("pressure", marks=pytest.mark.slow), "raw"])
 def test_an_offset_of_all_readings_changes_nothing(readings):
     level, force = sound()
     found = answer(level + 0.3, force, limit=0.3 + THRESHOLD, readings=readings)
@@ -127,6 +127,7 @@ def test_the_end_of_one_taxel_s_range_is_found(readings):
     assert errors(found)[5] < 4 * found.position_sigma[5]
 
 
+@pytest.mark.slow
 def test_the_end_of_a_common_range_is_found():
     level, force = sound()
     found = answer(np.minimum(level, 0.6), force)
@@ -156,6 +157,7 @@ def test_frames_without_contact_are_named_where_they_have_a_force(readings):
     assert found.verdict.level == "PASS"
 
 
+@pytest.mark.slow
 def test_light_touches_beside_answered_contacts_are_no_fault():
     """Every third contact is that of an approach: a thousandth to a twentieth of the force, whose
     patch a taxel lies beside. With the full force in the log they are frames without contact."""

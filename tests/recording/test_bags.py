@@ -117,7 +117,7 @@ def test_a_torn_file_is_read_up_to_the_tear(bags, tmp_path, name, share):
     assert "is torn" in log.notes[0]
 
 
-@pytest.mark.parametrize("share", [0.2, 0.35])
+@pytest.mark.parametrize("share", [pytest.param(0.2, marks=pytest.mark.slow), 0.35])
 @pytest.mark.parametrize("suffix", ["bag", "mcap"])
 def test_garbage_in_a_chunk_is_left_out_and_said(tmp_path, suffix, share):
     streams = RobotLog(contacts=24).streams()
@@ -395,7 +395,10 @@ def test_a_message_without_values_is_refused(tmp_path):
         read_log(path, LogMap((StreamMap("/skin", "taxels"),)))
 
 
-@pytest.mark.parametrize("name", ["ros1.bag", "ros2_sqlite/ros2_sqlite.db3", "lz4.mcap"])
+@pytest.mark.parametrize(
+    "name",
+    ["ros1.bag", "ros2_sqlite/ros2_sqlite.db3", pytest.param("lz4.mcap", marks=pytest.mark.slow)],
+)
 def test_a_damaged_file_is_a_log_or_a_named_error(bags, tmp_path, name):
     content = (bags / name).read_bytes()
     rng = np.random.default_rng(6)

@@ -32,7 +32,7 @@ def test_the_offset_is_recovered_to_2_ms(by, late):
     assert found.usable
 
 
-@pytest.mark.parametrize("by", ["force", "motion"])
+@pytest.mark.parametrize("by", [pytest.param("force", marks=pytest.mark.slow), "motion"])
 def test_sigma_is_the_scatter_over_seeds(by):
     found = [estimate(RobotLog(seed=seed), by) for seed in range(16)]
     error = np.array([one.offset - 0.037 for one in found])
@@ -88,7 +88,10 @@ def test_strokes_over_the_skin_tell_nothing():
         assert estimate_of_presses(seed, 0.03, away=0.02) is None
 
 
-@pytest.mark.parametrize("length", [0.0, 1e-3, 3e-3])
+@pytest.mark.parametrize(
+    "length",
+    [pytest.param(0.0, marks=pytest.mark.slow), 1e-3, pytest.param(3e-3, marks=pytest.mark.slow)],
+)
 def test_sigma_holds_where_contacts_slide_by_part_of_a_taxel(length):
     found = [estimate_of_presses(seed, length) for seed in range(16)]
     score = np.array([(one.offset - 0.037) / one.sigma for one in found if one is not None])

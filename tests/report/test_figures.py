@@ -43,6 +43,7 @@ def test_drawing_leaves_matplotlib_as_it_was() -> None:
     assert matplotlib.rcParams.copy() == before
 
 
+@pytest.mark.slow
 def test_drawing_never_imports_pyplot() -> None:
     code = (
         "import sys\nfrom meshskin.report import curves, maps, theme\n"

@@ -26,7 +26,9 @@ def test_the_way_of_a_sphere_ends_at_the_opposite_wall():
     assert np.isinf(length[1:]).all()
 
 
-@pytest.mark.parametrize(("opening", "held"), [(0.1, 0), (1.0, 4)])
+@pytest.mark.parametrize(
+    ("opening", "held"), [(0.1, 0), pytest.param(1.0, 4, marks=pytest.mark.slow)]
+)
 def test_an_indenter_leaves_a_shell_through_its_opening_alone(opening, held):
     """Of four contacts within a shell two lead to the opening straight, two from halfway."""
     body = shell(opening)
@@ -41,7 +43,7 @@ def test_directions_leave_no_wide_gap():
     assert np.degrees(nearest.max()) < 10.0
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_deep_cup_is_open_however_it_is_turned(seed):
     """0.6 m deep, 0.3 m wide: its opening is 14 degrees wide, seen from the middle of its end."""
     cup = trimesh.creation.cylinder(0.15, 0.6, sections=48).subdivide_to_size(0.06)

@@ -111,6 +111,7 @@ def test_all_of_60_taxels_of_a_real_arm_of_five_joints_are_reached():
     assert (np.minimum(q - arm.lower, arm.upper - q) >= posture.MIN_MARGIN).all()
 
 
+@pytest.mark.slow
 def test_an_so101_follows_lanes_over_all_of_a_skin():
     """Five joints that hold one spin at each contact; a capsule in front of the gripper."""
     arm = Arm.from_urdf(urdf("so101.urdf"), tip="gripper_frame_link")

@@ -82,6 +82,7 @@ def test_a_way_that_meets_the_indenter_again_is_refused(floating):
     assert simulator.is_clear(high)
 
 
+@pytest.mark.slow
 def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
     scene = sphere.with_(
         loop=replace(sphere.loop, mode="quasi_static"),

@@ -73,6 +73,7 @@ def test_a_wall_calibrates_as_well_as_a_table(walled, noisy, noisy_recording):
     assert errors[0].mean() < 1.1 * errors[1].mean()
 
 
+@pytest.mark.slow
 def test_what_is_turned_as_a_whole_does_the_same(sphere, monkeypatch):
     """Arm, indenter and gravity by one rotation: the same angles, torques, forces, readings."""
     sphere = sphere.with_(exploration=replace(sphere.exploration, lane_spacing=0.012))
@@ -112,7 +113,9 @@ def potential(arm, q):
     return energy
 
 
-@pytest.mark.parametrize("case", ["table", "wall", "wall and a tilted base"])
+@pytest.mark.parametrize(
+    "case", ["table", "wall", pytest.param("wall and a tilted base", marks=pytest.mark.slow)]
+)
 def test_at_rest_the_torques_carry_the_weight_and_the_contact(sphere, case):
     """Gravity is the world's: torques against differences of the potential energy."""
     scene = sphere if case == "table" else sphere.with_(indenter=WALL)

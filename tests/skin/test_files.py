@@ -284,7 +284,11 @@ def test_invalid_glb_files_are_refused(skin, tmp_path):
 
 
 @needs_skin
-@pytest.mark.parametrize("path", ICUB, ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(p, marks=() if k % 6 == 0 else pytest.mark.slow) for k, p in enumerate(ICUB)],
+    ids=lambda p: p.name,
+)
 def test_every_icub_file_is_read_and_written_to_the_printed_digits(path, tmp_path):
     if path.name in HANDS:
         with pytest.raises(SkinError, match="contains no triangular modules"):

@@ -59,6 +59,7 @@ def test_correct_skins_have_no_defects_in_every_format(arm, tmp_path, kind):
         assert lint(skin) == ()
 
 
+@pytest.mark.slow
 def test_skins_of_a_whole_and_of_a_thin_body_have_no_defects():
     assert lint(Skin.cover(Body.torus(0.1, 0.03), spacing=12e-3)) == ()
     thin = Body.ellipsoid((0.1, 0.1, 0.005))

@@ -76,7 +76,7 @@ def test_the_seed_rotates_and_shifts_the_lattice(ball):
         pytest.param(Body.sphere(), 10e-3, marks=pytest.mark.slow),
         (Body.ellipsoid((0.1, 0.07, 0.05)), 8e-3),
         (Body.torus(0.1, 0.04), 10e-3),
-        (Body.capsule(0.05, 0.2), 10e-3),
+        pytest.param(Body.capsule(0.05, 0.2), 10e-3, marks=pytest.mark.slow),
     ],
     ids=["sphere", "ellipsoid", "torus", "capsule"],
 )
@@ -272,6 +272,7 @@ def test_a_sheet_below_another_one_is_covered_too():
     assert 0.45 < np.mean(low) < 0.55
 
 
+@pytest.mark.slow
 def test_a_small_part_at_the_centre_does_not_hold_all_taxels():
     """The outermost point is on a button: the taxels nearest to it are on the ball, too."""
     button = trimesh.creation.icosphere(subdivisions=3, radius=0.01)
@@ -286,7 +287,7 @@ def test_a_small_part_at_the_centre_does_not_hold_all_taxels():
 
 
 @pytest.mark.parametrize("thickness", [2e-3, 3e-3, 4e-3, 6e-3])
-@pytest.mark.parametrize("spacing", [4e-3, 6e-3, 8e-3])
+@pytest.mark.parametrize("spacing", [pytest.param(4e-3, marks=pytest.mark.slow), 6e-3, 8e-3])
 def test_both_sides_of_a_thin_plate_are_covered(thickness, spacing):
     """As densely as a plate too thick for its sides to be near each other, without crowds."""
     body = Body.from_mesh(trimesh.creation.box((0.08, 0.06, thickness)).subdivide())

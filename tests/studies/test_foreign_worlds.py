@@ -76,6 +76,7 @@ def test_springs_press_in_proportion_to_their_depth():
     assert drop == pytest.approx(4e7 * 2e-3**2 / 0.02)
 
 
+@pytest.mark.slow
 def test_a_blur_adds_its_variance():
     """Of second moments of the pressure, per axis: that of the cover adds to the foam's."""
     from worlds.profiles import REACH, Winkler, blurred
@@ -218,13 +219,15 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
         ("crosstalk", {"crosstalk": 0.05}, 0.04e-3),
         pytest.param(*("crosstalk_modules", {"crosstalk": 0.05}, 0.04e-3), marks=pytest.mark.slow),
         pytest.param("crosstalk_faint", {"crosstalk": 0.02}, 0.03e-3, marks=pytest.mark.slow),
-        ("matrix", {"crosstalk": 0.03}, 0.03e-3),
+        pytest.param("matrix", {"crosstalk": 0.03}, 0.03e-3, marks=pytest.mark.slow),
         pytest.param("ghosts", {"crosstalk": 0.03}, 0.03e-3, marks=pytest.mark.slow),
-        ("drift", {"drift": 0.05}, 0.05e-3),
-        ("creep_30", {"creep": (0.2, 3.0)}, 0.04e-3),
+        pytest.param("drift", {"drift": 0.05}, 0.05e-3, marks=pytest.mark.slow),
+        pytest.param("creep_30", {"creep": (0.2, 3.0)}, 0.04e-3, marks=pytest.mark.slow),
         pytest.param("creep_stops", {"creep": (0.2, 1.0)}, 0.04e-3, marks=pytest.mark.slow),
-        ("warming", {"gain_drift": 0.1, "offset_drift": 0.03}, 0.05e-3),
-        ("drag_01", {"drag": 0.1e-3}, 0.03e-3),
+        pytest.param(
+            "warming", {"gain_drift": 0.1, "offset_drift": 0.03}, 0.05e-3, marks=pytest.mark.slow
+        ),
+        pytest.param("drag_01", {"drag": 0.1e-3}, 0.03e-3, marks=pytest.mark.slow),
         pytest.param("drag_09", {"drag": 0.9e-3}, 0.03e-3, marks=pytest.mark.slow),
         ("force_nominal", {}, 0.05e-3),
         pytest.param("strays", {}, 0.04e-3, marks=pytest.mark.slow),
@@ -309,7 +312,9 @@ def test_creep_with_two_time_constants_counts_in_the_errors(study, worlds, seed)
     assert "lags of the readings" in str(found.verdict)
 
 
-@pytest.mark.parametrize(("share", "seed"), [(0.1, 1), (-0.06, 2)])
+@pytest.mark.parametrize(
+    ("share", "seed"), [pytest.param(0.1, 1, marks=pytest.mark.slow), (-0.06, 2)]
+)
 def test_single_pairs_that_crosstalk_displace_no_taxel_beyond_its_error(study, worlds, share, seed):
     """With a common share of those that read, and none where it was negative, the three taxels were
     9 to 10 and 7 to 8 standard deviations off, with PASS."""

@@ -19,7 +19,7 @@ def world(study):
     return study.World()
 
 
-@pytest.mark.parametrize("share", [0.2, slow(0.1)])
+@pytest.mark.parametrize("share", [slow(0.2), slow(0.1)])
 def test_outlying_readings_cost_little_more_than_removing_exactly_them(study, world, share):
     found = study.outlying(world, share, range(1))
     assert found["error"] < 1.06 * found["without"]
@@ -73,6 +73,7 @@ def test_a_fifth_of_all_taxels(study, world, name):
     assert found["lost"] == 0
 
 
+@pytest.mark.slow
 def test_dead_taxels_do_not_make_the_fit_bad(study, world):
     bad = np.random.default_rng(2000).choice(len(world.skin), 16, replace=False)
     _, found = world.errors(world.record(0, study.dies_halfway, bad))

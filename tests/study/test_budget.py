@@ -39,6 +39,7 @@ def report(scene):
     return ms.budget(scene, 0.2e-3)
 
 
+@pytest.mark.slow
 def test_the_report_lists_what_is_on(report):
     entries = {entry.name: entry for entry in report.entries}
     assert set(KINDS) < set(entries)

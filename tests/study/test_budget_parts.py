@@ -266,6 +266,7 @@ def trial(small):
     return BudgetTrial(small, effects.ordered([effects.find(n)() for n in names]), 0.2e-3, (0,))
 
 
+@pytest.mark.slow
 def test_an_effect_that_removes_readings_has_negative_seconds(trial):
     """Noise makes every taxel answer in every contact; a threshold takes most of that away."""
     assert trial.seconds["sensing_range"] < 0 < trial.seconds["gaussian_noise"]
@@ -298,6 +299,7 @@ def test_the_tolerance_is_measured(trial, small):
     assert trial.tolerance_with({"solver tolerance:0", "solver tolerance:1"}) == 1e-8
 
 
+@pytest.mark.slow
 def test_everything_on_is_calibrated_once(trial, monkeypatch):
     aside = Holdout(trial.everything, trial.belief, trial.path, trial.halves, (2,))
     ran = []

@@ -40,6 +40,7 @@ def rows(costs, knob):
     return [row for row in costs.rows if row.knob == knob and not row.failure]
 
 
+@pytest.mark.slow
 def test_second_routes_confirm_the_reference(costs):
     routes = {route.name.partition(":")[0]: route for route in costs.routes}
     assert routes["surface"].mean_mm < 1e-5

@@ -356,6 +356,7 @@ def test_no_thread_and_no_process_is_left(out):
         assert not [c for c in commands if "spawn_main" in c]
 
 
+@pytest.mark.slow
 def test_a_task_that_is_lost_with_its_worker_is_given_out_again(out, monkeypatch):
     """As by a worker that dies between taking a task and saying so: its future never ends."""
     from concurrent.futures import Future

@@ -54,7 +54,7 @@ def test_the_predicted_force_is_the_simulated_one(sphere, mode, delay, scenario)
     assert predicted.duration == pytest.approx(time[-1], abs=2 * sphere.loop.dt)
 
 
-@pytest.mark.parametrize("mode", ["quasi_static", "arm"])
+@pytest.mark.parametrize("mode", ["quasi_static", pytest.param("arm", marks=pytest.mark.slow)])
 def test_derivatives_by_the_gains_are_those_of_differences(sphere, mode):
     one = shooting_of(quick(sphere, mode, 2e-3))
     x = ca.MX.sym("x", len(NAMES))

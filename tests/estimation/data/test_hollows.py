@@ -58,6 +58,7 @@ def test_contacts_in_hollows_are_left_out_where_the_response_is_learned(scene, r
     assert np.isfinite(data.patches.first).all()
 
 
+@pytest.mark.slow
 def test_a_wrong_scale_is_learned_beside_a_wall(scene, recording):
     """It ended in a ContactError about the hollow."""
     table = recording.readings

@@ -53,6 +53,7 @@ def waves(rng, length, deviation):
     return moved
 
 
+@pytest.mark.slow
 def test_noise_and_displacements_of_single_contacts_are_no_field():
     scores = []
     for seed in range(12):
@@ -63,7 +64,9 @@ def test_noise_and_displacements_of_single_contacts_are_no_field():
     assert not any(found.covariances.any() for found in scores)
 
 
-@pytest.mark.parametrize(("length", "deviation"), [(6e-3, 0.03e-3), (14e-3, 0.1e-3)])
+@pytest.mark.parametrize(
+    ("length", "deviation"), [(6e-3, 0.03e-3), pytest.param(14e-3, 0.1e-3, marks=pytest.mark.slow)]
+)
 def test_a_field_has_its_size_and_what_it_displaces(length, deviation):
     square, stated = [], []
     for seed in range(4):

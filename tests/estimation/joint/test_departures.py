@@ -81,6 +81,7 @@ def test_an_unknown_far_outside_its_prior_is_a_doubt(displaced):
     assert any("standard deviations of its prior" in words for words in found.verdict.reasons)
 
 
+@pytest.mark.slow
 def test_offsets_that_drift_are_named_where_the_contact_model_is_fixed(noisy):
     rng, skin = np.random.default_rng(0), noisy.skin
     near = skin.positions[rng.integers(len(skin), size=CONTACTS)]

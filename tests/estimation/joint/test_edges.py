@@ -163,6 +163,7 @@ def test_noise_by_circles_off_edges(belief):
     assert with_noise_off_edges(data) is data
 
 
+@pytest.mark.slow
 def test_a_map_tested_by_touches_over_an_edge(belief):
     """A taxel beside the edge was taken for dead, for it was silent where the model has it read."""
     believed = contact_model(belief, "elliptic")
@@ -184,6 +185,7 @@ def test_next_contacts_keep_off_the_edge(belief):
     assert part.mean() < 0.05
 
 
+@pytest.mark.slow
 def test_a_calibrated_skin_has_the_errors_of_its_learned_response(belief):
     taps = recording(1)
     found = ms.calibrate(taps, belief)
@@ -213,6 +215,7 @@ def narrow(recording, width):
     )
 
 
+@pytest.mark.slow
 def test_contacts_mostly_over_an_edge_test_no_contact_model(belief):
     near = narrow(recording(1), 3e-3)
     believed = ms.calibrate(near, contact_model(belief, "elliptic"))
@@ -222,7 +225,7 @@ def test_contacts_mostly_over_an_edge_test_no_contact_model(belief):
     assert chosen.response is not None
 
 
-@pytest.mark.parametrize("reference", [None, 0.5])
+@pytest.mark.parametrize("reference", [pytest.param(None, marks=pytest.mark.slow), 0.5])
 def test_the_online_estimate_weighs_contacts_over_edges_as_the_batch_estimate(belief, reference):
     believed = contact_model(belief, "elliptic").with_(
         force_reference=reference, noise_sigma=2e3, threshold=6e3
@@ -237,7 +240,7 @@ def test_the_online_estimate_weighs_contacts_over_edges_as_the_batch_estimate(be
     assert apart[both].max() < 0.05
 
 
-@pytest.mark.parametrize("method", ["joint", "trilateration"])
+@pytest.mark.parametrize("method", [pytest.param("joint", marks=pytest.mark.slow), "trilateration"])
 def test_many_contacts_over_an_edge_do_not_average_the_error_of_the_model(belief, method):
     """Taken as independent, these errors had standard deviations of 0.5 and 0.3 of their size."""
     found = ms.calibrate(recording(1, 1000), contact_model(belief, "elliptic"), method=method)
@@ -247,6 +250,7 @@ def test_many_contacts_over_an_edge_do_not_average_the_error_of_the_model(belief
     assert 0.7 < np.sqrt(np.mean(stated**2) / np.mean(off**2)) < 1.8
 
 
+@pytest.mark.slow
 def test_contacts_are_alike_among_all_that_came(belief):
     believed = contact_model(belief, "elliptic").with_(noise_sigma=2e3, threshold=6e3)
     data = gather(taps := recording(1, 1000), believed)
@@ -262,6 +266,7 @@ def test_contacts_are_alike_among_all_that_came(belief):
     assert gather(recording(1, 150), believed).alike.max() < data.alike.max()
 
 
+@pytest.mark.slow
 def test_readings_over_edges_do_not_make_others_outlying():
     """Ripples are within every patch. This world has no errors there, so that the residuals of the
     readings over them are small beside the deviation that they are given."""

@@ -190,6 +190,7 @@ def test_a_wrong_model_gives_no_faults(world, clean):
     assert not any(found.faults)
 
 
+@pytest.mark.slow
 def test_outlier_rejection_that_does_not_converge_is_dropped(world, clean, change, monkeypatch):
     """What was believed before is the answer, not an error."""
     recording = clean[0]
@@ -362,7 +363,7 @@ def far_side():
     return scene, ms.simulate(scene, seed=1)
 
 
-@pytest.mark.parametrize("noise", ["known", "unknown"])
+@pytest.mark.parametrize("noise", [pytest.param("known", marks=pytest.mark.slow), "unknown"])
 def test_noise_in_contacts_on_the_far_side_is_no_fault(far_side, noise):
     scene, recording = far_side
     belief = scene.belief() if noise == "known" else replace(scene.belief(), noise_sigma=None)

@@ -75,6 +75,7 @@ def test_without_a_noise_model_the_residuals_scale_the_covariance(world):
     assert error(world, unknown).mean() < 20e-6
 
 
+@pytest.mark.slow
 def test_silent_readings_keep_the_modulus_unbiased(world):
     bias = []
     for seed in range(3):

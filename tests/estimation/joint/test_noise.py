@@ -22,6 +22,7 @@ def low(world):
     return recordings, unknown, known
 
 
+@pytest.mark.slow
 def test_the_noise_is_unbiased_with_the_threshold_at_one_standard_deviation(world, low):
     ratio = [found.fit.noise / (NOISE * world.peak_reference) for found in low[1]]
     spread = 1 / np.sqrt(2 * sum(found.fit.pairs for found in low[1]))

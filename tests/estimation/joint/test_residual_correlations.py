@@ -92,7 +92,10 @@ def test_the_score_does_not_depend_on_the_scale_of_the_noise():
     assert one == pytest.approx(ten, abs=1e-6)
 
 
-@pytest.mark.parametrize(("kind", "where"), [("time", "in time"), ("odd", "in place")])
+@pytest.mark.parametrize(
+    ("kind", "where"),
+    [("time", "in time"), pytest.param("odd", "in place", marks=pytest.mark.slow)],
+)
 def test_the_covariances_hold_the_errors(kind, where):
     square, stated = [], []
     for seed in range(4):
@@ -123,6 +126,7 @@ def test_small_errors_are_held_by_the_covariances():
     assert replace(shared, score=12.0).beyond(0.1 * unit, unit)
 
 
+@pytest.mark.slow
 def test_errors_that_are_even_in_the_place_displace_nothing():
     rng = np.random.default_rng(0)
     found, _ = fitted(rng, process(rng, 1))

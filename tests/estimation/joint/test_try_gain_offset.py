@@ -33,7 +33,7 @@ def spread(world, size=0.05, seed=4):
 
 
 @pytest.mark.parametrize("noise", [0.01, None])
-@pytest.mark.parametrize("size", [0.05, 0.2])
+@pytest.mark.parametrize("size", [pytest.param(0.05, marks=pytest.mark.slow), 0.2])
 def test_taxels_of_different_gain_are_not_broken(world, size, noise):
     recording = record(world, spread(world, size), 0.005)
     found = calibrate(recording, world.belief(noise, 0.05))

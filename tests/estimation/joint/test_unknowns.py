@@ -107,6 +107,7 @@ def test_the_rotation_of_a_sphere_is_undetermined(world):
     assert found.fit.good
 
 
+@pytest.mark.slow
 def test_the_pose_of_an_ellipsoid_is_determined(world):
     body = Ellipsoid((0.06, 0.045, 0.1))
     other = type(world)(extent=20e-3, step=1e-3, body=body, model=ContactModel("elliptic"))

@@ -21,6 +21,7 @@ def displaced(seed, alike):
     return recording(moved, *rest)
 
 
+@pytest.mark.slow
 def test_displacements_that_neighbours_share_widen_the_variances():
     """As of contact points on the facets of a mesh; their correlation is that of scatter by eye."""
     found = calibrate(displaced(0, alike=True), belief(contact="learned"))

@@ -88,6 +88,7 @@ def test_a_search_ends_when_steps_have_come_to_nothing(monkeypatch, lost):
     assert set(left) == ({*scores} if lost else set())
 
 
+@pytest.mark.slow
 def test_displaced_contacts_are_left_out_before_departures_are_searched(monkeypatch):
     points, *others = world(bell, scatter=5e-5)
     points[::50] += np.random.default_rng(3).normal(0.0, 3e-3, points[::50].shape)

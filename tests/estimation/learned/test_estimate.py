@@ -134,7 +134,7 @@ def test_unmeasured_forces_whose_errors_neighbouring_contacts_share(wave, noise)
     assert 0.9 * wave / 2**0.5 < scatter < 1.4 * wave / 2**0.5  # with what noise has in it
 
 
-@pytest.mark.parametrize("measured", [True, False])
+@pytest.mark.parametrize("measured", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_whole_patches_that_press_harder_than_their_forces_say(measured):
     def harder(pressure, rng):
         return pressure * np.exp(0.08 * rng.standard_normal((len(pressure), 1)))
@@ -264,6 +264,7 @@ def test_scatter_of_the_contact_points_is_found():
     assert 0.75 < stated / error < 1.4
 
 
+@pytest.mark.slow
 def test_displacements_alike_in_neighbouring_contacts_widen_the_uncertainty():
     points, *rest = world(hertz, contacts=1500)
     rng, off = np.random.default_rng(5), np.zeros((len(points), 3))
@@ -347,6 +348,7 @@ def counts(seed=0, scatter=0.3e-3):
     return points, np.full(len(points), FORCE), contact, taxel, level
 
 
+@pytest.mark.slow
 def test_raw_counts_need_no_unit():
     log = counts()
     found = calibrate(recording(*log), belief(readings="raw"))
@@ -436,6 +438,7 @@ def test_a_skin_of_uneven_stiffness_is_named(uneven):
     assert (found.response.alike_contacts > 1.0) == uneven
 
 
+@pytest.mark.slow
 def test_silences_that_are_left_out_do_not_inform(monkeypatch):
     """A threshold of six times the noise: some silent taxels at the rim of a patch inform."""
     log, counts = recording(*world(hertz, noise=0.005)), []

@@ -121,6 +121,7 @@ def test_two_responses_in_one_recording_are_found_and_estimated(two, tmp_path):
     assert errors(calibrate(log, declared))[0] == pytest.approx(error, rel=0.02)
 
 
+@pytest.mark.slow
 def test_skins_of_two_stiffnesses_have_patches_of_two_sizes():
     found = calibrate(recording(*world(softer)), belief(contact="learned"))
     error, stated = errors(found)
@@ -133,6 +134,7 @@ def test_skins_of_two_stiffnesses_have_patches_of_two_sizes():
     assert wide / narrow == pytest.approx(1.2, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_skin_of_two_responses_predicts_the_readings_of_both(two):
     log, found = two
 

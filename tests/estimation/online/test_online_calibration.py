@@ -97,6 +97,7 @@ def test_lane_after_lane_it_stays_at_the_batch_estimate(world):
     assert np.nanmax(sigmas_apart(online, batch)) < 0.006  # 0.0105 at a TOLERANCE of 0.003
 
 
+@pytest.mark.slow
 def test_frames_without_contacts_catch_up_with_the_batch_estimate(world, frames, batch):
     """Contacts in random order move more taxels than a frame estimates anew."""
     online = run(world, *frames, block=1)
@@ -213,6 +214,7 @@ def test_it_goes_on_after_pickling(world, frames):
     assert str(first.status) == str(again.status)
 
 
+@pytest.mark.slow
 def test_the_contacts_of_a_recording_are_those_of_its_frames(world):
     world = type(world)(extent=10e-3, step=1e-3)
     recording, belief = world.record(NOISE, THRESHOLD), world.belief(NOISE, THRESHOLD)

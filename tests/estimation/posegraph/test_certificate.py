@@ -136,7 +136,7 @@ def test_definiteness_against_dense_eigenvalues(skin_graph, off):
     assert is_positive_definite(graph, slack, off * largest - smallest) == (off > 0)
 
 
-@pytest.mark.parametrize("count", [3, 20, 200])
+@pytest.mark.parametrize("count", [3, 20, pytest.param(200, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("objective", ["geodesic", "chordal"])
 def test_exact_graphs_are_certified(skin_graph, count, objective):
     """Where all residuals are zero the cost is zero up to rounding, and never negative."""

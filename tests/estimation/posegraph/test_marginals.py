@@ -1,6 +1,7 @@
 """Marginal covariances: against the dense inverse, and against the spread of many seeds."""
 
 import numpy as np
+import pytest
 from scipy import sparse
 
 from meshskin.core import se3
@@ -32,6 +33,7 @@ def test_marginals_of_a_matrix_equal_the_dense_inverse():
     assert np.allclose(found, inverse[each, :, each, :], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_covariances_are_those_of_many_seeds(skin_graph):
     """Isotropic noise: the squared error, whitened by the covariance, is chi-square."""
     count, seeds, sigma = 20, 60, (1e-3, 0.02)

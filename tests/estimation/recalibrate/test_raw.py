@@ -57,7 +57,11 @@ def counts(scene, points, seed, falling, gain=None):
     return ms.Recording(recording.contacts, pa.table(table), {"readings": "raw"})
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["rising", "falling"])
+@pytest.fixture(
+    scope="module",
+    params=[False, pytest.param(True, marks=pytest.mark.slow)],
+    ids=["rising", "falling"],
+)
 def mapped(world, request):
     scene, many, _ = world
     belief = ms.Belief(

@@ -80,7 +80,9 @@ def test_untouched_modules_and_taxels_are_not_confirmed(setting):
     )
 
 
-@pytest.mark.parametrize(("factor", "state"), [(0.0, "dead"), (2.0, "gain changed")])
+@pytest.mark.parametrize(
+    ("factor", "state"), [(0.0, "dead"), pytest.param(2.0, "gain changed", marks=pytest.mark.slow)]
+)
 def test_a_single_taxel_that_changed(setting, factor, state):
     scene, points = setting
     best = 13
@@ -226,6 +228,7 @@ def test_what_cannot_be_tested_is_refused(setting):
         ms.next_touches(scene.skin, scene.belief(), 0)
 
 
+@pytest.mark.slow
 def test_single_taxels_and_a_calibration_as_the_map(noisy):
     """Two exchanged taxels of twelve."""
     skin = ms.Skin.cover(noisy.body, spacing=5e-3, count=12, seed=1)

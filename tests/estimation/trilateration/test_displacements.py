@@ -217,7 +217,7 @@ def test_errors_of_edges_that_share_readings_are_correlated(drawn):
 @pytest.mark.parametrize(
     ("noise", "threshold", "method"),
     [
-        (0.02, 0.0, "posegraph"),
+        pytest.param(0.02, 0.0, "posegraph", marks=pytest.mark.slow),
         (0.01, 0.05, "posegraph_isotropic"),
         pytest.param(0.02, 0.0, "posegraph_isotropic", marks=pytest.mark.slow),
         pytest.param(0.01, 0.05, "posegraph", marks=pytest.mark.slow),

@@ -35,7 +35,7 @@ def test_taxels_that_were_never_pressed_are_undetermined(world, seed):
     assert (position_errors(found, world.skin)[placed] < 5 * sigma).all()
 
 
-@pytest.mark.parametrize("threshold", [0.0, 0.3])
+@pytest.mark.parametrize("threshold", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_pressed_taxels_are_found_in_noise_as_large_as_the_signal(world, threshold):
     recording, belief = world.record(0.3, threshold), world.belief(0.3, threshold)
     data = gather(recording, belief)

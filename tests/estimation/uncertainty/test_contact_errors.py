@@ -234,7 +234,10 @@ def test_single_wrong_contacts_are_no_displacement_of_all():
     np.testing.assert_allclose(found[[0, 2]], shift[[0, 2]], atol=1e-5)
 
 
-@pytest.mark.parametrize(("turn", "stretch", "most"), [(0.03, 0.0, 1.5), (0.0, 0.015, 3.0)])
+@pytest.mark.parametrize(
+    ("turn", "stretch", "most"),
+    [(0.03, 0.0, 1.5), pytest.param(0.0, 0.015, 3.0, marks=pytest.mark.slow)],
+)
 def test_turns_and_scales_about_the_middle(turn, stretch, most):
     """Contact points on an ellipsoid, turned about a normal, or scaled: a displacement or a body of
     another size does not explain their distances."""
@@ -252,6 +255,7 @@ def test_turns_and_scales_about_the_middle(turn, stretch, most):
         assert float(reason.split("scaled by ")[1].split()[0]) == pytest.approx(0.985, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_body_mounted_anew_is_named_and_counted(noisy, log):
     half = (np.arange(len(log.points)) >= len(log.points) // 2)[:, None]
     along = np.cross(noisy.skin.normals.mean(axis=0), [1.0, 0.0, 0.0])
@@ -264,6 +268,7 @@ def test_a_body_mounted_anew_is_named_and_counted(noisy, log):
     assert np.median(sound.position_sigma) < 0.05e-3
 
 
+@pytest.mark.slow
 def test_errors_that_neighbouring_contacts_share_are_no_jump(noisy):
     """Contact points 0.1 mm off along the surface, alike within 3 mm: taken as
     independent errors of the readings they show a jump with a score of 10."""
@@ -338,6 +343,7 @@ def test_a_turned_frame_of_a_link_is_named():
     assert np.einsum("nii->n", found.squares(points)).mean() > 0.6 * true
 
 
+@pytest.mark.slow
 def test_contact_points_of_another_place_of_the_body_may_be_anywhere_on_it():
     """Slid by 15 mm along a tube whose radius varies, which leaves most of a millimetre."""
     mesh = trimesh.creation.cylinder(radius=0.03, height=0.2, sections=90)

@@ -205,7 +205,7 @@ def test_the_nominal_modulus_is_compared(noisy, recorded, factor, level):
     assert level == "PASS" or "times the nominal" in found.verdict.reasons[0]
 
 
-@pytest.mark.parametrize("noise", ["known", "unknown"])
+@pytest.mark.parametrize("noise", ["known", pytest.param("unknown", marks=pytest.mark.slow)])
 def test_a_body_one_percent_too_large_is_named(noisy, recorded, noise):
     belief = replace(beliefs(noisy)[noise], body=ms.Body.sphere(0.101))
     found = ms.calibrate(recorded, belief)
@@ -297,7 +297,10 @@ def test_taxels_where_contacts_end_are_not_surrounded(world):
     assert calibrate(half, belief).verdict.level == "PASS"
 
 
-@pytest.mark.parametrize(("offset", "words"), [(1.0, "1 N too large"), (-1.0, "0.98 N too small")])
+@pytest.mark.parametrize(
+    ("offset", "words"),
+    [pytest.param(1.0, "1 N too large", marks=pytest.mark.slow), (-1.0, "0.98 N too small")],
+)
 def test_an_offset_of_the_forces_is_named(noisy, recorded, offset, words):
     wrong = changed(recorded, force=recorded.force + offset)
     found = ms.calibrate(wrong, noisy.belief(contact="auto"))
@@ -341,7 +344,9 @@ def bumpy_handle():
     return ms.Scene(body=body, skin=skin, indenter=ms.Indenter.sphere(0.01))
 
 
-@pytest.mark.parametrize("scene", [lambda: ms.Scene.load("sphere"), bumpy_handle])
+@pytest.mark.parametrize(
+    "scene", [lambda: ms.Scene.load("sphere"), pytest.param(bumpy_handle, marks=pytest.mark.slow)]
+)
 def test_errors_of_computing_are_no_doubt(scene):
     """Without noise what is left is of the integration, which contacts near one another share."""
     scene = scene()

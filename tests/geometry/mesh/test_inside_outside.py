@@ -166,6 +166,7 @@ def test_panels_of_a_link_do_not_put_each_other_inside(tmp_path, turned):
     assert wrong(body, points, inside != turned) == 0
 
 
+@pytest.mark.slow
 def test_a_flange_does_not_put_the_tube_inside(tmp_path):
     """The flange's border, closed at infinity, swallowed the tube: most fronts were inside."""
     tube = trimesh.creation.annulus(0.048, 0.05, 0.2).subdivide_to_size(0.02)

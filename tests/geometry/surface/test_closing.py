@@ -37,6 +37,7 @@ def test_a_level_set_becomes_a_closed_mesh_of_the_right_volume():
     np.testing.assert_allclose(mesh.center_mass, (14.3, 16.1, 18.2), atol=0.02)
 
 
+@pytest.mark.slow
 def test_the_skin_of_a_smooth_body_is_its_offset_surface():
     skinned = ms.Body.sphere(0.02).skinned(THICKNESS, FEATURE, resolution=1e-3)
     radius = np.linalg.norm(skinned.mesh.vertices, axis=1)
