@@ -126,3 +126,12 @@ def test_a_torn_file_is_said_to_be_torn(bag, tmp_path, capsys):
     out = capsys.readouterr().out
     assert "note: torn.mcap is torn in the record from byte" in out
     assert "messages before the tear are read" in out
+
+
+def test_a_file_torn_before_its_first_message_is_one_line(bag, tmp_path, capsys):
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(bag.read_bytes()[:5000])
+    line = fails(capsys, "log", torn)
+    assert "has no readable message: torn.mcap is torn in the record from byte" in line
+    assert "are read" not in line
+    assert line.rstrip().endswith("copy the file again, or record it again")

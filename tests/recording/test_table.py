@@ -75,6 +75,20 @@ def test_joints_by_a_word_of_their_name(tmp_path):
     assert log.streams[0].span == (0.0, N - 1.0)
 
 
+@pytest.mark.parametrize(
+    ("name", "kinds"),
+    [
+        ("j{}", ["joints"]), ("joints_{}", ["joints"]), ("actual_q_{}", ["joints"]),
+        ("actual_qd_{}", []), ("joint_velocity_{}", []), ("tau{}", []), ("jaw{}", ["taxels"]),
+    ],
+)  # fmt: skip
+def test_columns_of_six_joints_are_no_taxels(tmp_path, name, kinds):
+    columns = {name.format(k): 0.1 * np.arange(N) for k in range(1, 7)}
+    path = csv(tmp_path / "log.csv", {"time": np.arange(N)} | columns)
+    _, could = read_and_suggest(path)
+    assert [one.kind for one in could[name.format("*")]] == kinds
+
+
 @pytest.mark.parametrize(("write", "name"), [(csv, "log.csv"), (parquet, "log.parquet")])
 def test_columns_by_group_and_by_pattern(tmp_path, write, name):
     path = write(tmp_path / name)

@@ -3,11 +3,12 @@
     r = a_j (alpha + beta cos q_j + gamma sin q_j) + rest,    a_j = d height / d q_j
 
 r are the heights that are left after the estimate of constant offsets. An eccentric encoder or a
-bent link shows as a joint that explains much more of them than chance does, 3 / m of m contacts.
+bent link shows as a joint that explains much more of them than it would of errors of the surface.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,6 @@ import numpy as np
 from ...core.arrays import Array
 from ...geometry.body import Body
 from ...robot.contact_kinematics import DELAYS, JOINTS, ContactKinematics, JointPath
-from .heights import design_effect
 from .mesh_error import CELL
 
 SIGNIFICANCE = 1e-3
@@ -23,11 +23,12 @@ SIGNIFICANCE = 1e-3
 LARGEST = 0.05
 """Standard deviation of alpha, beta and gamma before, rad: three degrees, more than any encoder
 that works is off. It keeps joints that hardly move the body from standing for others."""
-CORRELATED = 10.0
-"""Contacts, at least, that count as one, as neighbouring ones share the errors of mesh and joints;
-more where what the joint leaves unexplained is alike in cells of the body (design_effect)."""
-CELLS = CELL * np.array([1.0, 2.0, 4.0, 8.0])
-"""Sizes of these cells, m: from those of a mesh's errors to half a link."""
+LENGTHS = CELL * np.array([0.5, 1.0, 2.0, 4.0, 8.0])
+"""Lengths, m, over which errors of the surface are alike: from dents of a mesh to half a link."""
+NOISES = (1e-3, 1e-1)
+"""Variances of the noise of a contact over that of these errors."""
+MOST = 400
+"""Contacts that are compared, evenly spaced in the log: neighbouring ones tell the same."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def joint_residuals(
     kinematics: ContactKinematics, path: JointPath, time: Array, body: Body, r: Array, s: Array
 ) -> tuple[JointResidual, ...]:
     """What each joint of the chain would explain of heights r (m,), m, at times (m,), s, with the
-    unknowns s (K,) of `kinematics`.
+    unknowns s (K,) of `kinematics`. The chance is that of the likelihood ratio, as F.
     """
     from scipy.special import fdtrc
 
@@ -72,18 +73,50 @@ def joint_residuals(
     hit = body.closest(centres)
     by_joint = np.einsum("mi,mij->mj", hit.normal, slopes[:, :, alone.columns[JOINTS]])
     angles, total = path.at(time, alone.delays(known))[0], max(float(r @ r), 1e-24)
-    found = []
+    found, rests = [], [r]
     for k, name in enumerate(alone.chain.joint_names):
         q = angles[:, k]
         shapes = np.stack([np.ones_like(q), np.cos(q), np.sin(q)], axis=1)
         effect = by_joint[:, k, None] * shapes
         prior = np.eye(3) * total / len(r) / LARGEST**2
         weights = np.linalg.solve(effect.T @ effect + prior, effect.T @ r)
-        rest = r - by_joint[:, k] * (shapes @ weights)
-        explained = 1 - float(rest @ rest) / total
-        alike = max(CORRELATED, *(design_effect(hit.point, rest, size) for size in CELLS))
-        free = max(len(r) / alike - 3, 1.0)
-        ratio = explained / 3 / max((1 - explained) / free, 1e-12)
+        rests.append(r - effect @ weights)
         error = float(np.sqrt(np.mean((shapes @ weights) ** 2)))
-        found.append(JointResidual(name, error, explained, float(fdtrc(3, free, ratio))))
-    return tuple(found)
+        found.append(JointResidual(name, error, 1 - float(rests[-1] @ rests[-1]) / total, 1.0))
+    likelihoods = _log_likelihoods(hit.point, np.stack(rests, axis=1))
+    count = min(len(r), MOST)
+    free = max(count - 3, 1)
+    ratios = np.expm1(np.maximum(likelihoods[1:] - likelihoods[0], 0.0) * 2 / count) * free / 3
+    return tuple(
+        replace(one, chance=float(fdtrc(3, free, ratio)))
+        for one, ratio in zip(found, ratios, strict=True)
+    )
+
+
+def _log_likelihoods(points: Array, heights: Array) -> Array:
+    """Log likelihoods (K,) of heights (m, K) as errors of the surface at points (m, 3), m.
+
+    These are a process that is alike over a distance on the body, of the length, noise and variance
+    that are likeliest for each column.
+    """
+    from scipy.linalg import cholesky, solve_triangular
+
+    rows = np.unique(np.linspace(0, len(points) - 1, min(len(points), MOST)).round().astype(int))
+    apart = np.linalg.norm(points[rows, None] - points[rows], axis=2)
+    found = []
+    for covariance in _covariances(apart):
+        factor = cholesky(covariance, lower=True)
+        white = solve_triangular(factor, heights[rows], lower=True)
+        squares = np.maximum(np.sum(white**2, axis=0), 1e-24)
+        found.append(-len(rows) / 2 * np.log(squares) - np.log(np.diag(factor)).sum())
+    return np.asarray(np.max(found, axis=0))
+
+
+def _covariances(apart: Array) -> Iterator[Array]:
+    """Covariances (m, m) of errors of contacts that are `apart` (m, m), m (Matern, 3/2)."""
+    one = np.eye(len(apart))
+    yield one
+    for length in LENGTHS:
+        x = np.sqrt(3) * apart / length
+        for noise in NOISES:
+            yield (1 + x) * np.exp(-x) + noise * one

@@ -30,8 +30,11 @@ PARQUET = b"PAR1"
 SUFFIXES = (".csv", ".parquet")
 TIME_NAMES = ("time", "t", "timestamp", "stamp")
 """Names of the column of times, before their unit; without a unit they are in s."""
-JOINT_NAMES = ("q", "joint", "position", "angle")
+JOINT_NAMES = ("q", "j", "joint", "joints", "position", "positions", "angle", "angles")
 """Words of the names of columns that could be joint angles."""
+OTHER_NAMES = ("qd", "dq", "qdd", "velocity", "velocities", "vel", "acceleration", "tau", "torque",
+               "torques", "effort", "efforts", "current", "currents", "temperature")  # fmt: skip
+"""Words of the names of columns that are neither joint angles nor taxels."""
 FORCES, TORQUES = ("fx", "fy", "fz"), ("tx", "ty", "tz")
 """Names of the columns of a wrench."""
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -258,7 +261,10 @@ def _suggest(stream: Stream) -> list[StreamMap]:
     contacts, unit = contact_columns(stream.fields)
     if contacts == list(stream.fields):
         return [StreamMap(stream.name, CONTACTS, length=width, unit=unit)]
-    if set(JOINT_NAMES) & set(re.split(r"[^a-z]+", name)):
+    words = set(re.split(r"[^a-z]+", name))
+    if words & set(OTHER_NAMES):
+        return []
+    if words & set(JOINT_NAMES):
         return [StreamMap(stream.name, JOINTS, stream.fields if width < 2 else ())]
     if name.startswith(("wrench", "force", "ft")) and width in (3, 6):
         return [StreamMap(stream.name, WRENCH)]

@@ -16,7 +16,7 @@ from ...stream import Log, Stream
 from ..samples import NANO, Samples
 from . import mcap_file, ros1, sqlite_file
 from .indexed import IndexedBag, require_rosbags
-from .records import Bag, ScannedBag, Torn
+from .records import BEFORE_TEAR, Bag, ScannedBag, Torn
 
 if TYPE_CHECKING:
     from ...log_map import LogMap, StreamMap
@@ -69,7 +69,10 @@ def read(
     scanned = ScannedBag(parts, SCANS[format_of(parts[0])], files)
     if not scanned.counts:
         note = scanned.notes[0] if scanned.notes else reason
-        raise RecordingError(f"{path.name} has no readable message: {note}")
+        raise RecordingError(
+            f"{path.name} has no readable message: {note.removesuffix(f': {BEFORE_TEAR}')}",
+            remedy="copy the file again, or record it again",
+        )
     log, could = _collect(path, scanned, log_map, progress)
     notes = log.notes or (f"read record by record, since rosbags says: {reason}",)
     return Log(log.path, log.streams, notes), could

@@ -11,6 +11,8 @@ from ....core.errors import RecordingError
 
 MSG, IDL, UNDEFINED = "msg", "idl", ""
 """Formats of message definitions."""
+BEFORE_TEAR = "messages before the tear are read"
+"""End of the note on a torn file."""
 
 
 @dataclass(frozen=True)
@@ -210,7 +212,7 @@ class ScannedBag:
                     if last is None:
                         yield path, one
             except Torn as end:
-                self.notes.append(f"{path.name} is torn {end}: messages before the tear are read")
+                self.notes.append(f"{path.name} is torn {end}: {BEFORE_TEAR}")
             else:
                 if last is not None:
                     yield path, last
