@@ -9,7 +9,8 @@ from meshskin.estimation.data.sensor_range import MAX_LOST
 
 from ..learned.test_estimate import PEAK, belief, errors, hertz, recording, world
 
-CONTACTS = 900
+CONTACTS = 500
+BELIEF = belief(threshold=0.03 * PEAK, contact="learned")
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +37,8 @@ def stretches(rng, contact, taxel):
 
 @pytest.mark.parametrize("lost", [single, stretches])
 def test_lost_readings_are_no_silences(sound, lost):
-    whole = calibrate(recording(*sound), belief(threshold=0.03 * PEAK))
-    found = calibrate(kept(sound, lost), belief(threshold=0.03 * PEAK))
+    whole = calibrate(recording(*sound), BELIEF)
+    found = calibrate(kept(sound, lost), BELIEF)
     off, stated = errors(found)
     assert off < 1.3 * errors(whole)[0]
     assert off == pytest.approx(stated, rel=0.25)
