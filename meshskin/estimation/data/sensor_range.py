@@ -43,7 +43,10 @@ SURROUNDED, AROUND = 3, 0.5
 them, of length 1, with which they are on all sides of it."""
 MAX_LOST = 0.02
 """Fraction of readings that are missing between others of their taxels from which no silence
-informs: scatter of the contact points of a quarter of their radius leaves it below 0.005."""
+informs: 0 in 33 worlds without any; contact points that scatter by 0.25 of their radius leave 0.004
+to 0.011, by 0.4 of it 0.03."""
+SAMPLE = 500
+"""Taxels, about, whose lost readings are counted."""
 
 LARGE_DISC = 1.5
 """Radius of a taxel's disc, in contact radii, from which `check_disc` looks at it."""
@@ -131,7 +134,8 @@ def lost_readings(data: Measurements) -> float:
     by_taxel = np.zeros(len(data.ids))
     np.maximum.at(by_taxel, data.taxel, data.pressure)
     largest = np.maximum(by_taxel, np.median(by_taxel[data.counts > 0]))
-    strong = np.flatnonzero(data.pressure > CERTAIN * largest[data.taxel])
+    few = data.taxel % max(len(data.ids) // SAMPLE, 1) == 0
+    strong = np.flatnonzero(few & (data.pressure > CERTAIN * largest[data.taxel]))
     at = data.contact[strong]
     near = data.contact_tree.query_ball_point(data.points[at], BESIDE * data.radii[at])
     contact = np.concatenate([*map(np.asarray, near), np.empty(0)]).astype(int)

@@ -281,7 +281,7 @@ def pressures(recording: Recording, data: Measurements) -> list[Finding]:
         words = (
             f"{data.lost:.0%} of the readings are missing where taxels read strongly all around "
             f"(limit {MAX_LOST:.0%}): no silence was taken for a reading below the threshold; look "
-            "for readings that the transport lost"
+            "for readings that were lost on the way, and for contact points that are far off"
         )
         found.append((DOUBT, words))
     beside, unanswered = unanswered_contacts(data)

@@ -54,6 +54,7 @@ def moved(effects, errors):
 @pytest.fixture
 def effects(monkeypatch):
     monkeypatch.setattr(module, "_moved", moved)
+    monkeypatch.setattr(module, "contact_leverage", lambda fitted: 0.1)
     monkeypatch.setattr(module, "_rate", lambda moved: moved.mu - LEVEL.ravel())
     fitted = Fitted(LEVEL.ravel(), np.ones(LEVEL.size), LEVEL)
     return SimpleNamespace(
@@ -91,4 +92,9 @@ def test_slope_is_that_of_the_log_determinant(effects):
 
 def test_none_where_the_deviation_of_force_errors_is_a_bound(effects):
     effects.data.force_measured = False
+    assert not volume_slope(effects, columns).any()
+
+
+def test_none_where_contacts_have_no_errors(effects, monkeypatch):
+    monkeypatch.setattr(module, "contact_leverage", lambda fitted: 1e-4)
     assert not volume_slope(effects, columns).any()
