@@ -4,9 +4,14 @@ that a taxel repeats, spikes of a taxel that nothing touches.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ...core.arrays import Array, means_by_group
+
+if TYPE_CHECKING:
+    from ...recording.recording import Recording
 
 MIN_READINGS = 3
 """Readings of a taxel of which the strongest counts: with fewer, all may be at the patch's rim."""
@@ -91,6 +96,17 @@ def _spreads(points: Array, group: np.ndarray) -> tuple[Array, np.ndarray]:
     """Rms distance of the points (k, 3) of each group (k,) from their mean, and their number."""
     off = points - means_by_group(points, group)[group]
     return np.sqrt(means_by_group(np.sum(off**2, axis=1), group)), np.bincount(group)
+
+
+def repeated_frames(recording: Recording) -> np.ndarray:
+    """Contacts (m,) bool that repeat the one before in point, force and all readings: a frame that
+    was written twice tells nothing new."""
+    at, pressure, m = recording.reading_contact, recording.pressure, len(recording.time)
+    sums = [np.bincount(at, values, m) for values in (pressure, pressure * recording.reading_taxel)]
+    frames = np.column_stack([recording.points, recording.force, *sums])
+    repeated = np.zeros(m, dtype=bool)
+    repeated[1:] = (np.diff(frames, axis=0) == 0).all(axis=1)
+    return repeated
 
 
 def too_many_corrupt(corrupt: np.ndarray) -> bool:

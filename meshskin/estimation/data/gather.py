@@ -25,7 +25,14 @@ from .resolve_belief import (
     resolve_belief,
     valid_contacts,
 )
-from .sensor_range import check_answered, check_disc, common_end, constant_taxels, ends_of_range
+from .sensor_range import (
+    check_answered,
+    check_disc,
+    common_end,
+    constant_taxels,
+    ends_of_range,
+    lost_readings,
+)
 
 if TYPE_CHECKING:
     from ...geometry.surface.closest_point import Closest
@@ -66,7 +73,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         data = without_delay(data)
     check_answered(data)
     check_disc(data)
-    return data
+    return replace(data, lost=lost_readings(data))
 
 
 def _measurements(
@@ -222,6 +229,7 @@ def _pressed(
         pressure, belief, unit, falling = nominal_pressure(
             recording, belief, index, hit.curvature, used
         )
+    used = used & ~corrupt_readings.repeated_frames(recording)
     corrupt = corrupt_readings.corrupt_readings(pressure, index)
     read = used[recording.reading_contact] & (pressure > 0) & ~corrupt
     _require_readings(read, recording, used)

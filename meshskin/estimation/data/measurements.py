@@ -111,8 +111,9 @@ class Measurements:
     delay: int = 0
     """Frames by which the readings were recorded too late; they have been moved."""
     unread: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
-    """Contacts, rows of `points`, whose readings came before the recording or after it, by their
-    delay; they have no silences."""
+    """Contacts, rows of `points`, whose readings came outside the recording: without silences."""
+    lost: float = 0.0
+    """Fraction of the readings that were lost; where some were, no silence informs."""
 
     @cached_property
     def ids(self) -> np.ndarray:

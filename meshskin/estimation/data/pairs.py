@@ -63,6 +63,8 @@ def silent_pairs(
     points (n, 3), m, and outward normals (n, 3): of the taxels `live`;
     scale: contact radii relative to those at nominal E*.
     """
+    if data.lost:
+        return np.empty(0, dtype=int), np.empty(0, dtype=int)
     level = np.maximum(data.threshold - SILENT_SIGMAS * data.sigma, 0.0)
     level = level / (data.peaks * scale**-2)
     if "offset" in data.parameters.nuisance_names:  # the pressure at rest is not known, then

@@ -12,8 +12,11 @@ Source: Visintin, Differential Models of Hysteresis (1994), section III.2.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
+from ...core.arrays import Array
 from ..joint.departures import WIDTHS, FittedReadings
 from ..joint.electronics import WIDTH, Electronics
 from ..joint.reading_sums import CONTACT_SIZE
@@ -30,20 +33,29 @@ studies/foreign_worlds.py) shares were found that are none, in four of seven rec
 to 0.04 (creep_twice there, Preisach's operator, two time constants) they were right."""
 
 
-def lags(fitted: FittedReadings) -> SmallEffects:
-    """The lags of the readings beyond those in `fitted`."""
-    electronics = Electronics(fitted.data, fitted.readings, fitted.points)
-    pressure = np.maximum(fitted.mu - fitted.offset, 0.0)
-    halves = (np.full(len(pressure), width * WIDTH * electronics.peak) for width in WIDTHS)
-    plays = [electronics.play(pressure, half)[0] - pressure for half in halves]
-    columns = np.column_stack([fitted.creeps(electronics), *plays])
+def lags(
+    fitted: FittedReadings, volume: Callable[[Callable[[FittedReadings], Array]], Array]
+) -> SmallEffects:
+    """The lags of the readings beyond those in `fitted`; volume: what the errors of the contacts
+    add to the slopes of parameters with the derivatives that a function gives (volume.py)."""
+    columns = _columns(fitted)
     slope, information = fitted.shared(columns)
+    slope = np.where(np.diag(information) > 0, slope + volume(_columns), 0.0)
     score, mean, covariance = most_likely(slope[None], information[None])
     if score < LEAST_SCORE:
         return SmallEffects.none(len(fitted.points), score)
     moved = fitted.displaced(columns)
     across = moved @ covariance[0] @ np.swapaxes(moved, 1, 2)
     return SmallEffects(score, moved @ mean[0], across)
+
+
+def _columns(fitted: FittedReadings) -> Array:
+    """Derivatives (k, q) of the readings in the shares of creep and play."""
+    electronics = Electronics(fitted.data, fitted.readings, fitted.points)
+    pressure = np.maximum(fitted.mu - fitted.offset, 0.0)
+    halves = (np.full(len(pressure), width * WIDTH * electronics.peak) for width in WIDTHS)
+    plays = [electronics.play(pressure, half)[0] - pressure for half in halves]
+    return np.column_stack([fitted.creeps(electronics), *plays])
 
 
 def contact_leverage(fitted: FittedReadings) -> float:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -38,6 +39,7 @@ from .contact_correlations import alike_errors, fewer_contacts, force_scatter
 from .estimated_response import learned_response
 from .lags import LAGS, MAX_LEVERAGE, contact_leverage, lags
 from .random_effects import RandomEffects
+from .volume import volume_slope
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
 FALLING = "the recorded readings fall with pressure: they were turned"
@@ -166,11 +168,12 @@ def _tangential(
 def _small_effects(effects: RandomEffects, fit: GoodnessOfFit) -> dict[str, SmallEffects]:
     """Small errors of the readings, by their names; none where the readings do not fit, as other
     errors would pass for these."""
-    made = {LAGS: lags, SHARES: further_shares}
     if fit.good is False:
-        return {name: SmallEffects.none(len(effects.unknowns.nuisance)) for name in made}
+        none = SmallEffects.none(len(effects.unknowns.nuisance))
+        return dict.fromkeys((LAGS, SHARES), none)
     fitted = effects.fitted()
-    found = {name: make(fitted) for name, make in made.items()}
+    behind = lags(fitted, partial(volume_slope, effects))
+    found = {LAGS: behind, SHARES: further_shares(fitted)}
     weak = [min(found, key=lambda name: found[name].score)]  # each passes for the other
     if contact_leverage(fitted) > MAX_LEVERAGE:
         weak = list(found)

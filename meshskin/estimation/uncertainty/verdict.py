@@ -14,7 +14,7 @@ from ...core.arrays import Array, means_by_group
 from ...recording.recording import UNCOMPARED
 from ...scene.belief import RAW
 from ..data import delay
-from ..data.sensor_range import unanswered_contacts
+from ..data.sensor_range import MAX_LOST, unanswered_contacts
 from ..learned.contact_correlations import KINDS
 from ..result import LearnedResponse, ids_in_words
 
@@ -277,6 +277,13 @@ def pressures(recording: Recording, data: Measurements) -> list[Finding]:
             "record pressures, not contact flags; look for saturation"
         )
         found.append((FAIL, words))
+    if data.lost:
+        words = (
+            f"{data.lost:.0%} of the readings are missing where taxels read strongly all around "
+            f"(limit {MAX_LOST:.0%}): no silence was taken for a reading below the threshold; look "
+            "for readings that were lost on the way, and for contact points that are far off"
+        )
+        found.append((DOUBT, words))
     beside, unanswered = unanswered_contacts(data)
     if unanswered.sum() > MAX_UNANSWERED * beside.sum():
         words = (

@@ -182,3 +182,21 @@ def test_sparse_contacts_confirm_nothing():
     contact, taxel, pressure = patches(points, points[[45, 46]] + 1e-3)
     contact, taxel = np.append(contact, 350), np.append(taxel, 0)
     assert not spikes(np.append(pressure, 1.0), taxel, contact, points, 0.02, 6e-3).any()
+
+
+@pytest.mark.parametrize("noise", [0.01, None])
+def test_frames_that_were_written_twice_count_once(world, recording, sound, noise):
+    contacts, readings = recording.contacts, recording.readings
+    times = recording.time[:, None] + [0.0, recording.frame / 2]
+    frames = contacts.take(np.repeat(np.arange(len(contacts)), 2))
+    rows = np.tile(np.arange(len(readings)), 2)
+    at = times[recording.reading_contact[rows], np.repeat([0, 1], len(readings))]
+    order = np.argsort(at, kind="stable")
+    twice = replace(
+        recording,
+        contacts=frames.set_column(0, "time", pa.array(times.ravel())),
+        readings=readings.take(rows[order]).set_column(0, "time", pa.array(at[order])),
+    )
+    found = calibrate(twice, world.belief(noise, 0.05))
+    np.testing.assert_allclose(found.positions, sound[noise].positions, atol=1e-8)
+    np.testing.assert_allclose(found.position_sigma, sound[noise].position_sigma, rtol=1e-4)

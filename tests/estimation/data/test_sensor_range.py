@@ -1,0 +1,54 @@
+"""What readings alone show of the sensors: those that were lost."""
+
+import numpy as np
+import pytest
+
+from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.data.gather import gather
+from meshskin.estimation.data.sensor_range import MAX_LOST
+
+from ..learned.test_estimate import PEAK, belief, errors, hertz, recording, world
+
+CONTACTS = 500
+BELIEF = belief(threshold=0.03 * PEAK, contact="learned")
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return world(hertz, contacts=CONTACTS)
+
+
+def kept(sound, lost, seed=0):
+    """The recording without the readings lost(rng, contact, taxel)."""
+    points, force, contact, taxel, pressure = sound
+    keep = ~lost(np.random.default_rng(seed), contact, taxel)
+    return recording(points, force, contact[keep], taxel[keep], pressure[keep])
+
+
+def single(rng, contact, taxel):
+    return rng.random(len(contact)) < 0.2
+
+
+def stretches(rng, contact, taxel):
+    """A twelfth of the recording, of each taxel for itself."""
+    begin = rng.integers(0, CONTACTS, taxel.max() + 1)[taxel]
+    return (contact >= begin) & (contact < begin + CONTACTS // 12)
+
+
+@pytest.mark.parametrize("lost", [single, stretches])
+def test_lost_readings_are_no_silences(sound, lost):
+    whole = calibrate(recording(*sound), BELIEF)
+    found = calibrate(kept(sound, lost), BELIEF)
+    off, stated = errors(found)
+    assert off < 1.3 * errors(whole)[0]
+    assert off == pytest.approx(stated, rel=0.25)
+    assert found.verdict.level == "DOUBT"
+    assert "of the readings are missing" in " ".join(found.verdict.reasons)
+    assert not any("missing" in words for words in whole.verdict.reasons)
+
+
+def test_the_fraction_of_lost_readings(sound):
+    assert gather(recording(*sound), belief()).lost == 0.0
+    assert gather(kept(sound, single), belief()).lost == pytest.approx(0.2, abs=0.03)
+    few = kept(sound, lambda rng, contact, taxel: rng.random(len(contact)) < MAX_LOST / 2)
+    assert gather(few, belief()).lost == 0.0
