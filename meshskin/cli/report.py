@@ -67,13 +67,18 @@ def command(options: argparse.Namespace) -> int:
                 metrics["left_out"] = []  # for lack of time in the run
         found.report(
             folder / "report.html", body=body, recording=recording, metrics=metrics,
-            seconds=metrics.get("seconds"), validation=validation, progress=progress, **truth,
+            seconds=_before(metrics), validation=validation, progress=progress, **truth,
         )  # fmt: skip
     if not options.quiet:
         print(f"{folder / 'report.html'}: written again")
         for line in missing:
             print(f"  left out         {line}")
     return 0
+
+
+def _before(metrics: dict[str, Any]) -> dict[str, float]:
+    """The times of what was done before the page was written for the first time, s."""
+    return {k: v for k, v in metrics.get("seconds", {}).items() if k != "report"}
 
 
 def _metrics(folder: Path) -> dict[str, Any]:

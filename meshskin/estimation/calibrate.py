@@ -150,8 +150,8 @@ class Estimation:
         """Why a taxel (n,) has no estimate; weak (n,): those too weakly determined."""
         reasons = np.array(result.reasons, dtype=object)
         reasons[(self.data.counts == 0) & (reasons != "")] = UNTOUCHED
-        reasons[self.data.constant & (reasons != "")] = CONSTANT
         reasons[weak & (reasons == "")] = WEAK
+        reasons[self.data.constant & (reasons != "")] = CONSTANT
         return reasons
 
     @cached_property

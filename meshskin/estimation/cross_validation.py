@@ -29,6 +29,7 @@ from ..scene.belief import RAW, Belief
 from .calibrate import calibrate
 from .calibration import Calibration
 from .data.gather import gather
+from .data.raw_readings import in_unit
 from .localization import CalibratedSkin
 
 BLOCK = 2.0
@@ -215,13 +216,7 @@ def recorded_belief(calibration: Calibration) -> Belief:
         )
     if belief.readings != RAW or response is None:
         return belief
-    unit = response.unit
-    return replace(
-        belief,
-        threshold=belief.threshold * unit,
-        saturation=None if belief.saturation is None else belief.saturation * unit,
-        noise_sigma=None if belief.noise_sigma is None else belief.noise_sigma * unit,
-    )
+    return in_unit(belief, response.unit)
 
 
 def held_out_in_words(metrics: dict[str, Any]) -> str:

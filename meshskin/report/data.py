@@ -121,7 +121,7 @@ class ReportData:
 
     def __post_init__(self) -> None:
         seconds = self.seconds or self.calibration.seconds
-        stages = {k: v for k, v in seconds.items() if k != "total"}  # which is their sum
+        stages = {k: v for k, v in seconds.items() if k not in ("total", "all")}  # their sums
         object.__setattr__(self, "seconds", stages)
         object.__setattr__(self, "provenance", self.provenance or self.calibration.provenance)
 

@@ -61,6 +61,19 @@ def test_a_position_file_keeps_positions_and_normals(skin, tmp_path):
     np.testing.assert_array_equal(file.representative[:40], np.arange(40))
 
 
+def test_a_taxel_without_a_position_is_in_no_position_file(skin, tmp_path):
+    poses = skin.poses.copy()
+    poses[3, :3, 3] = np.nan
+    with pytest.raises(SkinError, match=f"no position, got taxel {skin.ids[3]}"):
+        Skin(poses, skin.ids).save(tmp_path / "left_arm.txt")
+
+
+def test_a_scene_file_without_any_sigma_is_read_back(skin, tmp_path):
+    unknown = Skin(skin.poses, skin.ids, sigmas=np.full(len(skin), np.nan))
+    unknown.save(tmp_path / "skin.glb")
+    np.testing.assert_array_equal(Skin.load(tmp_path / "skin.glb").ids, skin.ids)
+
+
 def test_a_position_file_of_modules_names_thermal_pads_and_empty_modules(tmp_path):
     skin = modular()
     skin.save(tmp_path / "arm.txt")

@@ -44,6 +44,16 @@ STRONG = 0.9
 """Quantile of the taxels' strongest readings that is scaled to the believed peak pressure."""
 
 
+def in_unit(belief: Belief, unit: float) -> Belief:
+    """The belief with its noise, threshold and end of the range multiplied by `unit`."""
+    return replace(
+        belief,
+        threshold=belief.threshold * unit,
+        saturation=None if belief.saturation is None else belief.saturation * unit,
+        noise_sigma=None if belief.noise_sigma is None else belief.noise_sigma * unit,
+    )
+
+
 def nominal_pressure(
     recording: Recording, belief: Belief, index: np.ndarray, curvature: Array, used: np.ndarray
 ) -> tuple[Array, Belief, float, bool]:

@@ -191,7 +191,7 @@ def scale_and_fit(
         outlying=int(np.sum(outliers(readings))),
         pairs=noise.pairs,
     )
-    fit = replace(fit, noise=noise.scale * data.sigma, pairs=noise.pairs)
+    fit = replace(fit, noise=noise.scale * data.sigma)
     scale = 1.0 if known else noise.scale**2
     if data.noise is None:
         scale = residual_variance(readings, r, kept)

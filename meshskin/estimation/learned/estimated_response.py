@@ -77,14 +77,15 @@ def _curves(effects: RandomEffects, covariance: Array, group: int) -> dict[str, 
     band = np.sqrt(np.einsum("ki,ij,kj->k", basis, covariance[at, at], basis))
     level = np.linspace(0.0, peak * float(np.max(model + correction)), SAMPLES)  # that occur
     nominal, own = data.nominal_peak * data.unit, data.parameters.groups > 1
+    reading = level / (1 + s[c] * level / nominal)
     return {
         "distance": u * radius,
         "profile": peak * (model + correction),
         "profile_sigma": peak * band,
         "model": peak * model,
         "level": level,
-        "reading": level / (1 + s[c] * level / nominal),
-        "reading_sigma": level**2 / nominal * float(np.sqrt(covariance[c, c])),
+        "reading": reading,
+        "reading_sigma": reading**2 / nominal * float(np.sqrt(covariance[c, c])),
         "coefficients": s[at],
         "taxels": np.sort(data.ids[data.groups == group])[: own * len(data.ids)],
     }

@@ -33,6 +33,8 @@ UPPER_PLANAR = np.triu_indices(3)
 ROLL_PITCH_RATIO = 4.0
 """Information about roll and pitch over that about yaw: then 3 / (2 tr(inv(I_R))) is I_yaw, the
 weight kappa of a 2D displacement in SE-Sync."""
+MAX_ID = 2**53
+"""Largest id: ids are read as double-precision numbers, which are exact up to it."""
 QUATERNION_TOLERANCE = 1e-2
 """Largest error of a quaternion's norm: files with three digits stay below it; it is normalized."""
 
@@ -177,6 +179,11 @@ def _fields(words: list[str], line: str) -> list[float]:
         raise GraphError(f"{line}: not finite")
     if any(value != int(value) for value in ids):
         raise GraphError(f"{line}: an id must be an integer", value=ids)
+    if max(map(abs, ids)) > MAX_ID:
+        raise GraphError(
+            f"{line}: the id is too large", value=fields[: len(ids)], limit=MAX_ID,
+            remedy="number the vertices anew",
+        )  # fmt: skip
     if tag.endswith(":QUAT"):
         norm = float(np.linalg.norm(values[len(ids) + 3 : len(ids) + 7]))
         if abs(norm - 1.0) > QUATERNION_TOLERANCE:

@@ -81,11 +81,11 @@ def goodness_of_fit(
             if p < SIGNIFICANCE
             else f"the model fits: {words}, p = {p:.2g}"
         )
-        return GoodnessOfFit(chi2, freedom, p, words + left_out, outlying)
+        return GoodnessOfFit(chi2, freedom, p, words + left_out, outlying, pairs=pairs)
     if not noise_known or freedom <= 0:
         reason = "too few readings" if noise_known else "the noise is not known"
         words = f"not tested: {reason}{left_out}"
-        return GoodnessOfFit(chi2, freedom, float("nan"), words, outlying)
+        return GoodnessOfFit(chi2, freedom, float("nan"), words, outlying, pairs=pairs)
     p, ratio = float(chdtrc(freedom, chi2)), chi2 / freedom
     if p < SIGNIFICANCE:
         words = (
@@ -96,4 +96,4 @@ def goodness_of_fit(
         words = f"the noise is overstated: residuals are {ratio**0.5:.3f} of it"
     else:
         words = f"the model fits: residuals are {ratio**0.5:.3f} of the noise, p = {p:.2g}"
-    return GoodnessOfFit(chi2, freedom, p, words + left_out, outlying)
+    return GoodnessOfFit(chi2, freedom, p, words + left_out, outlying, pairs=pairs)

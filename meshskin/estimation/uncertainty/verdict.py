@@ -307,7 +307,9 @@ def clocks(recording: Recording, data: Measurements, calibration: Calibration) -
     known = size > 0
     if not known.any() or np.median(mean[known] / size[known]) < ONE_WAY:
         return []
-    typical, stated = float(np.median(mean[known])), float(np.nanmedian(calibration.position_sigma))
+    sigma = calibration.position_sigma
+    typical = float(np.median(mean[known]))
+    stated = float(np.median(sigma[np.isfinite(sigma)])) if np.isfinite(sigma).any() else np.inf
     if typical < stated:
         return []
     words = (

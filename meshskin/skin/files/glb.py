@@ -52,5 +52,6 @@ def read(data: bytes, name: str) -> SkinTable:
     poses = np.array([scene.graph.get(node)[0] for _, node in nodes], dtype=float)
     extras, ids = scene.metadata, [taxel for taxel, _ in nodes]
     sigma, radius = extras.get(_SIGMA), float(extras.get(_RADIUS, DISC_RADIUS))
-    sigmas = sigma and np.array([float(sigma.get(str(taxel), "nan")) for taxel in ids])
+    known = [float(sigma.get(str(taxel), "nan")) for taxel in ids] if sigma else None
+    sigmas = None if known is None else np.array(known)
     return SkinTable.of_poses("glb", ids, poses, radius, sigmas, extras.get(_FRAME))

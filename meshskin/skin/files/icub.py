@@ -67,7 +67,7 @@ def write(skin: SkinRows) -> str:
 
     The name is that of the frame; sigmas are an entry of the header, which readers of the format
     skip. The rotation about the normal and the disc's radius are not part of it. Raises SkinError
-    for an id that cannot be the number of a row.
+    for an id that cannot be the number of a row, and for a taxel without a position.
     """
     ids, poses = skin.ids, skin.poses
     for worst in (int(ids.min()), int(ids.max())):
@@ -76,7 +76,10 @@ def write(skin: SkinRows) -> str:
             raise SkinError("a taxel id does not fit a position file", value=worst, limit=limit)
     count = PER_MODULE * (int(ids.max()) // PER_MODULE + 1)
     rows = np.zeros((count, 6))
-    rows[ids] = np.nan_to_num(np.column_stack([poses[:, :3, 3], poses[:, :3, 2]]))
+    rows[ids] = np.column_stack([poses[:, :3, 3], np.nan_to_num(poses[:, :3, 2])])
+    if not np.isfinite(rows[:, :3]).all():
+        bad = int(ids[~np.isfinite(poses[:, :3, 3]).all(axis=1)][0])
+        raise SkinError("a taxel has no position", value=f"taxel {bad}", remedy="leave it out")
     representative = np.full(count, NO_MODULE)
     representative[ids] = ids
     if is_modular(ids):

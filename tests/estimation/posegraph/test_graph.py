@@ -154,6 +154,7 @@ GOOD = VERTEX.format(7) + VERTEX.format(3) + EDGE.format(7, 3)
         (GOOD.replace(" 1 0 0 0 0 0 1 ", " 1 0 0 0 x 0 1 ", 1), "line 3: not a number"),
         (GOOD.replace("QUAT 3 0", "QUAT 3 nan"), "line 2: not finite"),
         (GOOD.replace("QUAT 3 0", "QUAT 3.5 0"), "line 2: an id must be an integer"),
+        (GOOD + VERTEX.format(2**53 + 2), "line 4: the id is too large, got .*9007199254740994"),
         (GOOD.replace("0 0 0 1\n", "0 0 0 2\n", 1), "line 1: a quaternion must have norm 1, got 2"),
         (GOOD + "\n# fine\n" + VERTEX.format(7), "line 6: vertex defined twice"),
         (GOOD + EDGE.format(3, 8), r"line 4: .* two vertices of the file, got \(3, 8\)"),

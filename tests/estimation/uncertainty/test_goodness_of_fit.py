@@ -131,4 +131,5 @@ def test_the_model_is_rejected_once_in_a_thousand():
         assert goodness_of_fit(chi2.isf(level, 500), 500, noise_known=True).good is good
     assert "overstated" in goodness_of_fit(chi2.ppf(5e-4, 500), 500, noise_known=True).words
     assert goodness_of_fit(1e3, 500, noise_known=False).good is None
+    assert goodness_of_fit(500.0, 500, noise_known=False, pairs=400).pairs == 400
     assert goodness_of_fit(0.0, 0.0, noise_known=True).words == "not tested: too few readings"
