@@ -53,7 +53,7 @@ def registered(
     declared = declared_parameters(("body_offset",), belief.priors, 1.0, 1.0)
     offset, covariance = _fit(belief, touching, declared.sigma)
     moved = _moved(points, offset)
-    arms = -se3.hat(moved - offset[:3]) @ se3.left_jacobian(offset[3:])
+    arms = -se3.hat(moved)
     value, vectors = np.linalg.eigh(covariance)
     motion = ContactMotion(
         labels=declared.labels,
@@ -83,8 +83,7 @@ def _fit(belief: Belief, points: Array, sigma: Array) -> tuple[Array, Array]:
         weight = huber_weights(hit.distance, scatter)
         cells = np.unique(np.floor(moved / CELL), axis=0, return_inverse=True)[1].ravel()
         weight /= np.bincount(cells)[cells]
-        turned = np.cross(moved - offset[:3], hit.normal) @ se3.left_jacobian(offset[3:])
-        jacobian = np.concatenate([hit.normal, turned], axis=1)
+        jacobian = np.concatenate([hit.normal, np.cross(moved - offset[:3], hit.normal)], axis=1)
         hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
         gradient = jacobian.T @ (weight * hit.distance) + prior * offset
         step = -np.linalg.solve(hessian, gradient)

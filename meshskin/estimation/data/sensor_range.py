@@ -130,7 +130,9 @@ def check_answered(data: Measurements) -> None:
 
 def lost_readings(data: Measurements) -> float:
     """Fraction of the readings that are missing between strong ones of their taxels, in contacts
-    that those of these surround; 0 up to MAX_LOST."""
+    that those of these surround; 0 up to MAX_LOST, and where as many readings there are weak: what
+    makes these so, noise or scatter of the contacts, brings others below the threshold.
+    """
     by_taxel = np.zeros(len(data.ids))
     np.maximum.at(by_taxel, data.taxel, data.pressure)
     largest = np.maximum(by_taxel, np.median(by_taxel[data.counts > 0]))
@@ -154,8 +156,9 @@ def lost_readings(data: Measurements) -> float:
     known = data.taxel * len(data.points) + data.contact
     left_out = data.corrupt[:, 1] * len(data.points) + data.corrupt[:, 0]
     lost = ~np.isin(pair, np.concatenate([known, left_out]))
+    weak = ~lost & ~np.isin(pair, known[strong])
     share = float(lost.mean()) if len(pair) else 0.0
-    return share if share > MAX_LOST else 0.0
+    return share if share > MAX_LOST and np.sum(lost) > np.sum(weak) else 0.0
 
 
 def check_disc(data: Measurements) -> None:
