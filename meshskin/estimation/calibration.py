@@ -180,13 +180,10 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
         progress("next contacts", done, total): called after each. Raises CalibrationError without
         a belief, for k < 1, or if no taxel was read.
         """
-        from ..scene.belief import RAW
-        from .data.raw_readings import in_unit
+        from .data.raw_readings import in_nominal_unit
         from .next_contact import next_contacts
 
-        if belief is not None and belief.readings == RAW and self.response is not None:
-            belief = in_unit(belief, 1.0 / self.response.unit)
-        belief = belief or self.belief
+        belief = self.belief if belief is None else in_nominal_unit(belief, self.response)
         if belief is None:
             raise CalibrationError(
                 "a loaded calibration does not know the scene", remedy="give next_contacts a belief"

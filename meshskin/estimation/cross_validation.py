@@ -29,7 +29,7 @@ from ..scene.belief import RAW, Belief
 from .calibrate import calibrate
 from .calibration import Calibration
 from .data.gather import gather
-from .data.raw_readings import in_unit
+from .data.raw_readings import in_recorded_unit
 from .localization import CalibratedSkin
 
 BLOCK = 2.0
@@ -214,9 +214,7 @@ def recorded_belief(calibration: Calibration) -> Belief:
         raise CalibrationError(
             "the calibration does not know the scene", remedy="give cross_validate a belief"
         )
-    if belief.readings != RAW or response is None:
-        return belief
-    return in_unit(belief, response.unit)
+    return in_recorded_unit(belief, response)
 
 
 def held_out_in_words(metrics: dict[str, Any]) -> str:

@@ -106,7 +106,7 @@ def _by_spacing(
             found = lattice.relax(body, region, found, target, stage)
         mean, _ = found.spacing()
         error = 0.0 if len(found) < 3 else abs(mean / spacing - 1)
-        if not error >= least:
+        if not error >= least:  # also of a lattice whose mean is not defined
             best, least = found, error
         if error < MEAN_TOLERANCE:
             break

@@ -156,6 +156,7 @@ def folder(tmp_path_factory, sphere, recording):
     recording.save(out / "recording")
     ms.calibrate(recording, sphere.belief(), "centroid").save(out / "calibration")
     metrics = {"scene": "sphere", "inputs": {"scene": "sphere", "seed": 1}, "taxels": 80}
+    metrics["seconds"] = {"calibrate": 2.0, "report": 3.0}
     (out / "metrics.json").write_text(json.dumps(metrics))
     return out
 
@@ -173,6 +174,7 @@ def test_the_page_gets_what_the_folder_and_its_inputs_hold(folder, capsys, monke
     monkeypatch.setattr(ms.Calibration, "report", lambda self, path, **rest: given.update(rest))
     assert cli.main(["report", str(folder)]) == 0
     assert given["body"].name == "sphere"
+    assert given["seconds"] == {"calibrate": 2.0}  # the page is drawn anew
     assert "written again" in capsys.readouterr().out
     metrics = json.loads((folder / "metrics.json").read_text())
     (folder / "metrics.json").write_text(json.dumps(metrics | {"inputs": {"scene": "gone.toml"}}))

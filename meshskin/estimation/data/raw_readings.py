@@ -14,12 +14,14 @@ import numpy as np
 
 from ...core.arrays import Array, robust_sigma, sums_by_group
 from ...core.errors import CalibrationError
+from ...scene.belief import RAW
 from .resolve_belief import contact_model, nominal_patches
 from .sensor_range import constant_taxels
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording
     from ...scene.belief import Belief
+    from ..result import LearnedResponse
 
 DENSE = 0.5
 """Fraction of the contacts from which a taxel that reads in them is read at rest, too."""
@@ -44,8 +46,20 @@ STRONG = 0.9
 """Quantile of the taxels' strongest readings that is scaled to the believed peak pressure."""
 
 
-def in_unit(belief: Belief, unit: float) -> Belief:
-    """The belief with its noise, threshold and end of the range multiplied by `unit`."""
+def in_nominal_unit(belief: Belief, response: LearnedResponse | None) -> Belief:
+    """A belief about raw readings in the nominal Pa of a learned response; another as it is."""
+    return belief if response is None else _scaled(belief, 1.0 / response.unit)
+
+
+def in_recorded_unit(belief: Belief, response: LearnedResponse | None) -> Belief:
+    """The inverse of `in_nominal_unit`."""
+    return belief if response is None else _scaled(belief, response.unit)
+
+
+def _scaled(belief: Belief, unit: float) -> Belief:
+    """A belief about raw readings with noise, threshold and end of the range times `unit`."""
+    if belief.readings != RAW:
+        return belief
     return replace(
         belief,
         threshold=belief.threshold * unit,

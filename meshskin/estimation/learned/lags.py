@@ -34,13 +34,14 @@ to 0.04 (creep_twice there, Preisach's operator, two time constants) they were r
 
 
 def lags(
-    fitted: FittedReadings, volume: Callable[[Callable[[FittedReadings], Array]], Array]
+    fitted: FittedReadings, beyond_mode: Callable[[Callable[[FittedReadings], Array]], Array]
 ) -> SmallEffects:
-    """The lags of the readings beyond those in `fitted`; volume: what the errors of the contacts
-    add to the slopes of parameters with the derivatives that a function gives (volume.py)."""
+    """The lags of the readings beyond those in `fitted`; beyond_mode: the slope of the marginal
+    likelihood less that at the mode, of parameters whose derivatives a function gives
+    (marginal_slope.py)."""
     columns = _columns(fitted)
     slope, information = fitted.shared(columns)
-    slope = np.where(np.diag(information) > 0, slope + volume(_columns), 0.0)
+    slope = np.where(np.diag(information) > 0, slope + beyond_mode(_columns), 0.0)
     score, mean, covariance = most_likely(slope[None], information[None])
     if score < LEAST_SCORE:
         return SmallEffects.none(len(fitted.points), score)

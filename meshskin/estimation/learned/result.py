@@ -38,8 +38,8 @@ from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .contact_correlations import alike_errors, fewer_contacts, force_scatter
 from .estimated_response import learned_response
 from .lags import LAGS, MAX_LEVERAGE, contact_leverage, lags
+from .marginal_slope import slope_beyond_mode
 from .random_effects import RandomEffects
-from .volume import volume_slope
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
 FALLING = "the recorded readings fall with pressure: they were turned"
@@ -172,8 +172,8 @@ def _small_effects(effects: RandomEffects, fit: GoodnessOfFit) -> dict[str, Smal
         none = SmallEffects.none(len(effects.unknowns.nuisance))
         return dict.fromkeys((LAGS, SHARES), none)
     fitted = effects.fitted()
-    behind = lags(fitted, partial(volume_slope, effects))
-    found = {LAGS: behind, SHARES: further_shares(fitted)}
+    late = lags(fitted, partial(slope_beyond_mode, effects))
+    found = {LAGS: late, SHARES: further_shares(fitted)}
     weak = [min(found, key=lambda name: found[name].score)]  # each passes for the other
     if contact_leverage(fitted) > MAX_LEVERAGE:
         weak = list(found)

@@ -25,6 +25,7 @@ from ...core.value import Value
 from .. import chart
 from ..data.measurements import Measurements
 from ..data.patch_shape import over_edges
+from ..data.raw_readings import in_recorded_unit
 from ..data.resolve_belief import contact_model, with_valid_model
 from ..next_contact import candidates_around, reference_patches
 from . import errors as error_model
@@ -92,7 +93,9 @@ def next_touches(
     CalibrationError without a belief or its reference force, or for k < 1.
     """
     k = check_integer("number of touches", k, least=1, error=CalibrationError)
-    belief = belief or getattr(previous, "belief", None)
+    own = getattr(previous, "belief", None)  # a skin has none
+    if belief is None and own is not None:
+        belief = in_recorded_unit(own, getattr(previous, "response", None))
     if belief is None or belief.force_reference is None:
         raise CalibrationError(
             "touches are planned for a scene and a reference force",
@@ -105,6 +108,12 @@ def next_touches(
     touches = touches_of(_candidates(known, belief, tested), known, previous)
     stage = Stage(progress, "next touches", len(tested))
     touch, pair, factor, owner = _factors(touches, known, tested, stage)
+    if not len(touch):
+        raise CalibrationError(
+            "no touch tells a changed map from the earlier one",
+            value=f"{belief.force_reference:g} N",
+            remedy="give a belief with a larger force_reference, or with the true noise",
+        )
     bound, chosen, served = np.full(len(owner), 0.5), [], []
     for _ in range(k):
         part = bound[pair] * (1 - factor)

@@ -21,6 +21,7 @@ from meshskin.estimation.joint.likelihood import Likelihood
 from meshskin.estimation.joint.readings import select
 from meshskin.estimation.learned import random_effects
 from meshskin.estimation.learned.estimate import with_learned_response
+from meshskin.estimation.recalibrate.touch_design import next_touches
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Cap
 from meshskin.recording.recording import CONTACTS, NOMINAL, READINGS, Recording
@@ -281,8 +282,10 @@ def test_displacements_alike_in_neighbouring_contacts_widen_the_uncertainty():
 
 
 @pytest.mark.slow
-def test_force_errors_are_found():
-    log = recording(*world(hertz, force_error=0.1))
+@pytest.mark.parametrize(("seed", "contacts"), [(0, 500), (1, 700)])
+def test_force_errors_are_found(seed, contacts):
+    """Seed 1: at the mode over these errors, the likelihood has the slope of a lag."""
+    log = recording(*world(hertz, seed, contacts, force_error=0.1))
     learned = calibrate(log, belief())
     error, stated = errors(learned)
     # what remains of ln F when the measured force is known: 5 % of variation, 10 % of error
@@ -326,6 +329,9 @@ def test_compression_is_told_from_the_profile_where_forces_vary():
     value, sigma = learned.unknowns["compression"]
     assert abs(value - 1.0) < 4 * sigma
     assert sigma < 0.3
+    level, reading = learned.response.level[1:], learned.response.reading[1:]
+    by_compression = reading**2 * (1 / reading - 1 / level) / value  # |d reading / d value|
+    np.testing.assert_allclose(learned.response.reading_sigma[1:], by_compression * sigma)
     assert 0.75 < np.divide(*errors(learned)[::-1]) < 1.35
 
 
@@ -356,6 +362,19 @@ def test_raw_counts_need_no_unit():
     assert error < 0.15e-3
     assert 0.7 < stated / error < 1.4
     assert "exponents of the radius is not determined" in found.undetermined  # one force
+
+
+def test_next_contacts_of_a_loaded_calibration_take_the_belief_in_counts():
+    own = belief(readings="raw", force_reference=FORCE, threshold=8.0, noise_sigma=3.0)
+    found = calibrate(recording(*counts(scatter=0.0)), own)
+    loaded = replace(found, belief=None)
+    again, expected = loaded.next_contacts(2, own), found.next_contacts(2)
+    np.testing.assert_allclose(again.worst, expected.worst, rtol=1e-9)
+    again, expected = next_touches(loaded, own, 2), next_touches(found, None, 2)
+    np.testing.assert_allclose(again.confusion, expected.confusion, rtol=1e-9)
+    assert again.confusion.min() < 0.1
+    with pytest.raises(CalibrationError, match="no touch tells a changed map"):
+        next_touches(loaded, replace(own, noise_sigma=1e5), 2)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from meshskin.estimation.learned.lags import LEAST_SCORE, contact_leverage, lags
 READINGS, FAMILY = 400, len(TIMES) + len(WIDTHS)
 
 
-def no_volume(columns):
+def at_the_mode(columns):
     return np.zeros(FAMILY)
 
 
@@ -56,7 +56,7 @@ def plays(monkeypatch):
 
 def test_displacements_are_those_of_the_most_likely_shares():
     fitted = Fitted(0.02)
-    found, (slope, information) = lags(fitted, no_volume), fitted.shared(fitted.columns)
+    found, (slope, information) = lags(fitted, at_the_mode), fitted.shared(fitted.columns)
     score, mean, covariance = most_likely(slope[None], information[None])
     moved = fitted.displaced(fitted.columns)
     assert found.score == pytest.approx(score)
@@ -68,7 +68,7 @@ def test_displacements_are_those_of_the_most_likely_shares():
 def test_taxels_return_to_where_they_are():
     fitted = Fitted(0.05)
     error = (np.linalg.pinv(fitted.places) @ fitted.level).reshape(2, 2)
-    left = error - lags(fitted, no_volume).displacements
+    left = error - lags(fitted, at_the_mode).displacements
     assert np.abs(left).max() < 0.3 * np.abs(error).max()
 
 
@@ -85,7 +85,7 @@ def test_leverage_of_contacts():
 
 
 def test_chance_moves_no_taxel():
-    found = [lags(Fitted(0.0, seed), no_volume) for seed in range(40)]
+    found = [lags(Fitted(0.0, seed), at_the_mode) for seed in range(40)]
     assert not any(one.displacements.any() or one.covariances.any() for one in found)
     assert max(one.score for one in found) < LEAST_SCORE
 
@@ -94,4 +94,4 @@ def test_what_the_errors_of_the_contacts_favour_is_no_lag():
     fitted = Fitted(0.02)
     slope, _ = fitted.shared(fitted.columns)
     assert lags(fitted, lambda columns: -slope).score < LEAST_SCORE
-    assert lags(fitted, no_volume).score > LEAST_SCORE
+    assert lags(fitted, at_the_mode).score > LEAST_SCORE

@@ -242,6 +242,10 @@ def test_clocks_that_were_not_compared_are_named_where_strokes_have_one_directio
     found = ms.calibrate(made, noisy.belief())
     assert found.verdict.level == level
     assert all("clock of the skin was not compared" in words for words in found.verdict.reasons)
+    sigma = np.where(np.arange(len(found.ids)) % 5 < 3, np.inf, found.position_sigma)
+    few = SimpleNamespace(position_sigma=sigma)  # the others are not determined
+    named = verdict.clocks(made, gather(made, noisy.belief()), few)
+    assert bool(named) == (level == "DOUBT")
     metadata = {key: made.metadata[key] for key in made.metadata if key != "clock"}
     again = ms.calibrate(Recording(made.contacts, made.readings, metadata), noisy.belief())
     assert again.verdict.level == "PASS"

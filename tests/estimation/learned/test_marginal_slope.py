@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from meshskin.estimation.learned import volume as module
-from meshskin.estimation.learned.volume import volume_slope
+from meshskin.estimation.learned import marginal_slope as module
+from meshskin.estimation.learned.marginal_slope import slope_beyond_mode
 
 CONTACTS, EACH, PRIOR = 200, 5, 4.0
 RNG = np.random.default_rng(2)
@@ -69,7 +69,7 @@ def columns(fitted):
     return -(fitted.mu * LAG.ravel())[:, None]
 
 
-def log_volume(share):
+def half_log_determinant(share):
     """Half the log determinant of the information on the errors, at the mode under the share."""
     total = 0.0
     for level, lag in zip(LEVEL, LAG, strict=True):
@@ -85,16 +85,16 @@ def log_volume(share):
 
 
 def test_slope_is_that_of_the_log_determinant(effects):
-    expected = -(log_volume(1e-3) - log_volume(-1e-3)) / 2e-3
+    expected = -(half_log_determinant(1e-3) - half_log_determinant(-1e-3)) / 2e-3
     assert expected > 1.0
-    assert volume_slope(effects, columns)[0] == pytest.approx(expected, rel=0.2)
+    assert slope_beyond_mode(effects, columns)[0] == pytest.approx(expected, rel=0.2)
 
 
 def test_none_where_the_deviation_of_force_errors_is_a_bound(effects):
     effects.data.force_measured = False
-    assert not volume_slope(effects, columns).any()
+    assert not slope_beyond_mode(effects, columns).any()
 
 
 def test_none_where_contacts_have_no_errors(effects, monkeypatch):
     monkeypatch.setattr(module, "contact_leverage", lambda fitted: 1e-4)
-    assert not volume_slope(effects, columns).any()
+    assert not slope_beyond_mode(effects, columns).any()

@@ -1,11 +1,11 @@
-"""What the errors of the contacts add to the slope of the likelihood of other parameters.
+"""The slope of the marginal likelihood, over the errors of the contacts, in other parameters.
 
-An estimate is the mode over the errors of the contacts, the likelihood the integral over them: by
-Laplace's method its logarithm is that at the mode less half the log determinant of their
-information, which changes with the parameters. A lag by which readings change less from contact to
-contact makes it smaller, for that alone. By Fisher's identity the slope of the integral is the mean
-over the posterior of the slope at given errors; what it has beyond that at the mode is its second
-derivative along pairs of draws about it.
+An estimate takes these errors at their mode; the marginal likelihood is the integral over them. By
+Laplace's method its logarithm is that at the mode less half the log determinant of the information
+on the errors, and this determinant changes with the parameters: a lag makes readings change less
+with the errors of their contacts, and so the determinant smaller. By Fisher's identity the slope of
+the integral is the mean, over the posterior of the errors, of the slope at given errors. Its
+difference from the slope at the mode is a second derivative, taken along pairs of draws.
 
 Source: Louis, "Finding the observed information matrix when using the EM algorithm", Journal of the
 Royal Statistical Society B 44 (1982), section 2.
@@ -34,11 +34,14 @@ STEP = 0.1
 are known to 10 %."""
 
 
-def volume_slope(effects: RandomEffects, columns: Callable[[FittedReadings], Array]) -> Array:
-    """What is missing in the derivative (q,) of the log-likelihood at the mode, as of
-    `FittedReadings.shared`; columns: derivatives (k, q) of readings in parameters that all taxels
-    share. None where forces were not measured, as the deviation of their errors is a bound, where
-    a lag that is estimated couples the contacts, and where these have no errors to speak of."""
+def slope_beyond_mode(effects: RandomEffects, columns: Callable[[FittedReadings], Array]) -> Array:
+    """The slope (q,) of the marginal log-likelihood less that at the mode, which
+    `FittedReadings.shared` gives; columns: derivatives (k, q) of readings in parameters that all
+    taxels share.
+
+    Zero where forces were not measured, as the deviation of their errors is a bound, where a lag
+    that is estimated couples the contacts, and where contacts have no errors (MIN_LEVERAGE).
+    """
     fitted, system = effects.fitted(), effects.system()
     weighted = fitted.curvature[:, None] * columns(fitted)
     exact = contact_leverage(fitted) < MIN_LEVERAGE
