@@ -97,17 +97,6 @@ def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
     return 0
 
 
-METHODS = {
-    "trilateration": "trilateration",
-    "three_circles": "three chosen circles",
-    "eq15": "eq. 15 as printed",
-    "posegraph": "pose graph",
-    "posegraph_paper": "pose graph of chosen circles",
-    "centroid": "centroid",
-}
-"""Names of the other methods, by their keys in the metrics."""
-
-
 def summary(result: Result, folder: Path) -> str:
     """The text that the command prints."""
     m, calibration = result.metrics, result.calibration
@@ -142,20 +131,21 @@ def _row(name: str, value: object) -> str:
 
 def _errors(m: dict[str, Any]) -> list[str]:
     """The position errors of the estimate and of the other methods."""
+    from ..estimation.comparison import METHODS
+    from ..report.data import method_name
+
     error, bound = m["position_error_mm"], m["crlb_mm"]
     limit = f"  (bound: mean {bound['mean']:.4g})" if bound else ""
-    means = {name: m[key]["mean"] for key, name in METHODS.items()}
+    means = {method_name(method): m[method]["mean"] for method in METHODS}
     others = [f"{name} " + ("none" if x is None else f"{x:.3g} mm") for name, x in means.items()]
     lines = [
         _row(
             "position error",
             f"mean {error['mean']:.4g} mm, rms {error['rms']:.4g}, max {error['max']:.4g}{limit}",
         ),
-        _row("other methods", ", ".join(others)),
+        _row("other methods", "; ".join(others)),
     ]
     if m["worse_than_centroid"]:
-        from ..report.data import method_name
-
         worse = "; ".join(map(method_name, m["worse_than_centroid"]))
         lines.append(_row("worse than centroid", worse))
     return lines
