@@ -81,10 +81,17 @@ class Estimate:
     """Poses along the iterations, the start first; None: they are not kept."""
     stage: Stage | None = None
     """Whose steps are the iterations; None: they are not counted."""
+    reweighted: float = 0.0
+    """Largest change of a weight that another reweighting would make; 0 unless it was ended."""
 
     @property
     def status(self) -> str:
         """ "optimal", or what is wrong."""
+        if self.reweighted > 0.0:
+            return (
+                f"not converged: another reweighting would change a weight by {self.reweighted:.1e}"
+                "; allow more iterations"
+            )
         if self.decrement < OPTIMALITY_TOLERANCE:
             return "optimal"
         if np.isinf(self.decrement):
@@ -240,7 +247,7 @@ def minimize_reweighted(
     robust: str,
     limit: int | None = None,
 ) -> Array:
-    """Bring `estimate` to the minimum of the robust cost; return the weights (m,).
+    """Bring `estimate` to the minimum of the robust cost; return the weights (m,) of its poses.
 
     The information must be right in scale: the limit on a chi-square is the quantile of its
     distribution at `INLIER_PROBABILITY`, with the rank of the information as degrees of freedom.
@@ -260,11 +267,14 @@ def minimize_reweighted(
     chi2 = chi_squares(weight)
     mu = max(2.0 * float((chi2 / chi2_limit).max()), 1.0) if robust == "gnc" else 1.0
     for _ in range(MAX_REWEIGHTINGS):
-        before, weight = weight, function(chi2, chi2_limit, mu)
-        if mu == 1.0 and np.abs(weight - before).max() < WEIGHT_TOLERANCE:
-            break
+        following = function(chi2, chi2_limit, mu)
+        change = float(np.abs(following - weight).max())
+        if mu == 1.0 and change < WEIGHT_TOLERANCE:
+            return weight
         if limit is not None and estimate.iterations >= limit:
             break
+        weight = following
         chi2 = chi_squares(weight)
         mu = max(mu / CONVEXITY_STEP, 1.0)
+    estimate.reweighted = change
     return weight

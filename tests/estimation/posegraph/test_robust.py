@@ -51,6 +51,23 @@ def test_without_outliers_little_is_lost(skin_graph):
         assert error(solution, truth[:, :3, 3]) < 1.2 * clean
 
 
+@pytest.mark.parametrize("robust", ["gnc", "cauchy"])
+def test_too_few_iterations_are_not_optimal_and_the_weights_are_those_of_the_poses(
+    skin_graph, robust
+):
+    spoilt, _ = with_outliers(skin_graph(30, seed=1)[0], 0.1)
+    ended, whole = spoilt.solve(robust=robust, limit=4), spoilt.solve(robust=robust)
+    assert whole.is_optimal
+    assert not ended.is_optimal
+    assert "allow more iterations" in ended.status
+    weighted = PoseGraph(
+        spoilt.poses, spoilt.edges, spoilt.measurements,
+        spoilt.information * ended.weights[:, None, None],
+    )  # fmt: skip
+    at_rest = weighted.solve(start=ended.poses)
+    assert ended.cost == pytest.approx(at_rest.cost, rel=1e-6)
+
+
 def test_unknown_name(skin_graph):
     with pytest.raises(UnknownNameError, match="did you mean huber"):
         skin_graph(10)[0].solve(robust="hubert")
