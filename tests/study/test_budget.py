@@ -116,8 +116,12 @@ def test_the_budget_is_a_section_of_the_report_of_a_run(report):
 @pytest.mark.slow
 def test_the_same_call_decides_the_same(scene, report):
     again = ms.budget(scene, 0.2e-3)
-    assert again.entries == report.entries
-    assert again.estimate == report.estimate
+    choices = [[(e.name, e.setting, e.on) for e in r.entries] for r in (again, report)]
+    assert choices[0] == choices[1]
+    shifts = [[e.shift for e in r.entries] for r in (again, report)]
+    # m: kernels that were compiled between the two calls round differently
+    assert shifts[0] == pytest.approx(shifts[1], rel=1e-9, abs=1e-15)
+    assert again.estimate == pytest.approx(report.estimate, rel=1e-9)
 
 
 @pytest.mark.slow
@@ -208,7 +212,7 @@ def test_the_command_line_refuses_a_negative_budget(tmp_path, capsys):
 def test_a_whole_run_with_a_budget(tmp_path):
     result = pipeline.run("sphere_noisy", tmp_path, budget=0.2e-3)
     assert result.budget.fits
-    assert result.budget.check.faster > 3.0
+    assert result.budget.check.shift <= 0.2e-3
     assert result.metrics["budget"]["budget_mm"] == pytest.approx(0.2)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Error budget: simulated and neglected effects" in page

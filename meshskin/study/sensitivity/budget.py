@@ -202,7 +202,7 @@ class BudgetTrial:
             if item.name in out:
                 continue
             if mean_length(item.shift) > limit:
-                out[item.name] = "exceeds the budget by itself"
+                out[item.name] = f"moves taxels by more than the {1e3 * limit:.2g} mm planned for"
             elif item.seconds <= 0.0:
                 out[item.name] = "saves more readings to be calibrated than it costs"
         return out
