@@ -36,7 +36,7 @@ NAMES = (
     "friction", "layer", "elliptic_patch", "disc_averaging", "cover_fabric", "scan_order",
     "relaxation", "crosstalk", "hysteresis", "capacitive", "gain_offset", "temperature_drift",
     "gaussian_noise", "sensing_range", "quantisation", "broken_taxels", "mesh_facets", "body_pose",
-    "indenter_offset", "sampling", "encoder", "gravity_error", "joint_friction", "force_sensor",
+    "indenter_offset", "gravity_error", "joint_friction", "force_sensor", "encoder", "sampling",
 )  # fmt: skip
 """Names of the effects of this package and of their modules, in the order of the signal: effects
 of one stage act in this order, one derived from them in the place of its base, followed by those of

@@ -3,12 +3,12 @@
     q <- q + b + n,   b ~ N(0, sigma_b^2) once,   n ~ N(0, sigma_n^2) in every frame
 
 The recorded pose of the body, and the contact from it, are computed from these angles. The closed
-loop itself uses the true angles.
+loop itself, and the torques that give the recorded force, have the true angles.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,10 +59,9 @@ class Encoder(BaseEffect, stage="robot", cost=7e-8):
         offset = self.offset_spread * stream.standard_normal(context.joints)
 
         def disturb(frames: Frames) -> Frames:
-            noise = self.noise_spread * stream.standard_normal(frames.q.shape)
-            recorded = context.indenter_centres(frames.q + offset + noise)
-            shift = recorded - context.indenter_centres(frames.q)
-            return frames.with_centres(frames.centres + shift)
+            q = frames.q + offset + self.noise_spread * stream.standard_normal(frames.q.shape)
+            shift = context.indenter_centres(q) - context.indenter_centres(frames.q)
+            return replace(frames.with_centres(frames.centres + shift), q=q)
 
         return disturb
 

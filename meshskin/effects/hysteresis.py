@@ -4,8 +4,9 @@
     P_k <- max(p - r_k, min(p + r_k, P_k)), initially 0,
 
 a weighted sum of play operators of half-widths r_k. Readings are low on loading and high on
-unloading. A cycle between 0 and p, for p > 2 r_k, has the area sum w_k 2 r_k (p - 2 r_k). Source:
-Brokate and Sprekels, "Hysteresis and Phase Transitions" (1996), chapter 2.
+unloading. Where the contact was lost between two frames, p was 0. A cycle between 0 and p, for
+p > 2 r_k, has the area sum w_k 2 r_k (p - 2 r_k). Source: Brokate and Sprekels, "Hysteresis and
+Phase Transitions" (1996), chapter 2.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from ..core.arrays import Array
 from ..core.config import quantity
 from .base import BaseEffect, Context, PressureTransform
-from .frames import Frames
+from .frames import MAX_FRAME_GAP, Frames
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,17 @@ class Hysteresis(BaseEffect, stage="transducer", cost=7e-8):
         width = self.width_relative * context.peak_pressure * np.arange(1, self.plays + 1)
         width = width[:, None] / self.plays
         play = np.zeros((self.plays, len(context.skin)))
+        max_gap, last = MAX_FRAME_GAP * context.period, 0.0
 
         def lag(pressures: Array, frames: Frames) -> Array:
-            nonlocal play
+            nonlocal play, last
             out = (1.0 - self.share) * pressures
             for k, now in enumerate(pressures):
+                if frames.time[k] - last > max_gap:
+                    play = np.clip(play, -width, width)
                 play = np.maximum(now - width, np.minimum(now + width, play))
                 out[k] += self.share * play.mean(axis=0)
+                last = frames.time[k]
             return out
 
         return lag

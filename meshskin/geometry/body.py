@@ -181,7 +181,7 @@ class Body(Value, Card):
         """
         path = check_path("a mesh file", path, error=MeshError)
         raw = mesh_file.read(path, mesh_file.unit(path, units))
-        return cls._from_triangles(path.stem, raw, open)
+        return cls.from_triangles(path.stem, raw, open)
 
     @classmethod
     def from_mesh(cls, mesh: Any, units: str = "m", name: str = "mesh", open: bool = False) -> Body:
@@ -192,7 +192,7 @@ class Body(Value, Card):
         is checked and repaired as by `load`. Raises MeshError.
         """
         raw = Triangles.of_mesh(mesh, mesh_file.in_metres(units))
-        return cls._from_triangles(name, raw, open)
+        return cls.from_triangles(name, raw, open)
 
     @classmethod
     def from_urdf(
@@ -211,11 +211,14 @@ class Body(Value, Card):
         """
         path = check_path("a URDF file", path, error=MeshError)
         raw = link_mesh.read(path, link, folders, kind)
-        return cls._from_triangles(link, raw, open)
+        return cls.from_triangles(link, raw, open)
 
     @classmethod
-    def _from_triangles(cls, name: str, raw: Triangles, open: bool) -> Body:
-        """The body of the triangles of a file, checked and repaired. Raises MeshError."""
+    def from_triangles(cls, name: str, raw: Triangles, open: bool) -> Body:
+        """The body of the triangles of a file, m, checked and repaired; `open`: as of `load`.
+
+        Raises MeshError.
+        """
         found = check_mesh(raw.vertices, raw.faces, open)
         for finding in found.refused:
             raise finding.error()
@@ -255,7 +258,7 @@ class Body(Value, Card):
         closed = closing.closed_offset(self.surface, thickness, feature, step)
         mesh = mesh_file.Triangles(*closed)
         # open: edges at which parts of the skin touch are split
-        made = self._from_triangles(f"{self.name}, skinned", mesh, open=True)
+        made = self.from_triangles(f"{self.name}, skinned", mesh, open=True)
         under = self.surface.nearest(made.mesh.triangles_center).face
         patches = {
             name: np.flatnonzero(np.isin(under, rows)) for name, rows in self.patches.items()

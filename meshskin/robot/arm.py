@@ -75,9 +75,9 @@ class Arm(Value):
     upper: Array
     """Highest joint angles (n,), rad; inf where continuous."""
     velocity_limit: Array
-    """Largest joint speeds (n,), rad/s; inf where the file gives none."""
+    """Largest joint speeds (n,), rad/s; inf where the file gives none or 0."""
     effort_limit: Array
-    """Largest joint torques (n,), N m; inf where the file gives none."""
+    """Largest joint torques (n,), N m; inf where the file gives none or 0."""
     reflected_inertia: Array
     """Motor inertia at the joint (n,), kg m^2: rotor inertia times gear ratio squared."""
     tip: str
@@ -140,8 +140,8 @@ class Arm(Value):
                 low, high = ranges[driver.joint]
                 ranges[driver.joint] = max(low, ends[0]), min(high, ends[1])
 
-        def limits(key: str) -> Array:
-            return np.array([j.limits.get(key, math.inf) for j in moving])
+        def limits(key: str) -> Array:  # 0 stands for unknown in the files of real arms
+            return np.array([j.limits.get(key) or math.inf for j in moving])
 
         return cls(
             name=robot.root.get("name", "arm"),

@@ -90,12 +90,17 @@ def _placed(shape: ET.Element, folders: list[str | Path]) -> list[Triangles]:
         return [link_mesh.placed(shape, folders, " of a link")]
     origin = shape.find("origin")
     pose = transform(rotation(_numbers(origin, "rpy")), _numbers(origin, "xyz"))
-    box, cylinder, sphere = (shape.find(f"geometry/{k}") for k in ("box", "cylinder", "sphere"))
+    box, cylinder, capsule, sphere = (
+        shape.find(f"geometry/{k}") for k in ("box", "cylinder", "capsule", "sphere")
+    )
     if box is not None:
         made = creation.box(extents=_numbers(box, "size"))
     elif cylinder is not None:
         radius, length = (_numbers(cylinder, k, "0")[0] for k in ("radius", "length"))
         made = creation.cylinder(radius=radius, height=length, sections=32)
+    elif capsule is not None:
+        radius, length = (_numbers(capsule, k, "0")[0] for k in ("radius", "length"))
+        made = creation.capsule(height=length, radius=radius)
     elif sphere is not None:
         made = creation.icosphere(subdivisions=2, radius=_numbers(sphere, "radius", "0")[0])
     else:

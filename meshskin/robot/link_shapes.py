@@ -1,8 +1,8 @@
 """Capsules that enclose the shapes of an arm's links, their distances, and spheres that cover them.
 
-Boxes, cylinders and spheres get one capsule each; a mesh is cut into slabs across its longest
-direction, and each slab gets the smallest of three capsules. A capsule that encloses the surface
-encloses the solid, as it is convex.
+Boxes, cylinders, capsules and spheres get one capsule each; a mesh is cut into slabs across its
+longest direction, and each slab gets the smallest of three capsules. A capsule that encloses the
+surface encloses the solid, as it is convex.
 
 Source of the enclosing circles: Badoiu, Clarkson, "Smaller core-sets for balls" (SODA 2003).
 """
@@ -62,7 +62,7 @@ def link_capsules(link: ET.Element, folders: Iterable[str]) -> tuple[list[Capsul
         missing: list[str] = []
         for element in link.findall(kind):
             try:
-                found += _capsules(element, folders)
+                found += [c for c in _capsules(element, folders) if c.radius > 0.0]
             except MeshError as error:
                 missing.append(str(error))
         if found:
@@ -72,18 +72,22 @@ def link_capsules(link: ET.Element, folders: Iterable[str]) -> tuple[list[Capsul
 
 
 def _capsules(element: ET.Element, folders: Iterable[str]) -> list[Capsule]:
-    """The capsules about one shape. Raises MeshError for a mesh that cannot be read."""
+    """The capsules about one shape. Raises MeshError for a shape that cannot be read."""
 
     def numbers(e: ET.Element | None, key: str, default: str) -> Array:
         return vector(e, key, default, len(default.split()), " of a link's shape")
 
     origin = element.find("origin")
     pose = transform(rotation(numbers(origin, "rpy", "0 0 0")), numbers(origin, "xyz", "0 0 0"))
-    box, cylinder, sphere, mesh = (
-        element.find(f"geometry/{k}") for k in ("box", "cylinder", "sphere", "mesh")
+    box, cylinder, capsule, sphere, mesh = (
+        element.find(f"geometry/{k}") for k in ("box", "cylinder", "capsule", "sphere", "mesh")
     )
     if sphere is not None:
         return [Capsule(pose[:3, 3], pose[:3, 3], float(numbers(sphere, "radius", "0")[0]))]
+    if capsule is not None:  # its length is that of its axis
+        half = 0.5 * numbers(capsule, "length", "0") * pose[:3, 2]
+        radius = float(numbers(capsule, "radius", "0")[0])
+        return [Capsule(pose[:3, 3] - half, pose[:3, 3] + half, radius)]
     if box is not None:
         signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
         clouds = [signs * 0.5 * numbers(box, "size", "0 0 0")]
@@ -100,7 +104,8 @@ def _capsules(element: ET.Element, folders: Iterable[str]) -> list[Capsule]:
         read = mesh_file.read(path)
         clouds = slabs(read.vertices * numbers(mesh, "scale", "1 1 1"), read.faces)
     else:
-        return []
+        kinds = ", ".join(e.tag for e in element.findall("geometry/*"))
+        raise MeshError("a link's shape has no known geometry", value=kinds or "none")
     return [enclosing_capsule(cloud @ pose[:3, :3].T + pose[:3, 3]) for cloud in clouds]
 
 

@@ -17,6 +17,7 @@ from ..core.errors import ArmError, reason
 from ..core.se3 import inverse, is_rigid, transform
 from ..core.value import Value
 from ..geometry.body import Body
+from ..geometry.mesh import link_mesh
 from ..skin.skin import Skin
 from .chain import Chain, ChainJoint
 from .contact_kinematics import USUAL, ContactKinematics
@@ -183,11 +184,12 @@ class Robot(Value):
         return np.asarray(poses[:, None] @ self.skins[link].poses)
 
     def body(self, link: str, kind: str = "visual", open: bool = False) -> Body:
-        """The body of a link's meshes, link frame, as `Body.from_urdf`.
+        """The body of a link's meshes, link frame, as `Body.from_urdf`; with the corrections.
 
         Raises MeshError, UnknownNameError.
         """
-        return Body.from_urdf(self.path, link, self.folders, kind, open)
+        raw = link_mesh.in_tree(self.tree.root, self.path, link, self.folders, kind)
+        return Body.from_triangles(link, raw, open)
 
     def contact_kinematics(
         self,

@@ -94,7 +94,7 @@ def sensor_tables(
     contacts = pa.Table.from_arrays([arrow.column(c) for c in columns], schema=CONTACTS)
     headings = np.zeros((0, 4))
     if len(frames):
-        headings = quaternion(scene.body_pose(frames.q)[:, :3, :3])[:, [3, 0, 1, 2]]
+        headings = quaternion(scene.body_pose(recorded.q)[:, :3, :3])[:, [3, 0, 1, 2]]
     for name, column in zip(QUATERNION, headings.T, strict=True):
         contacts = contacts.append_column(name, arrow.column(column))
     schema = _readings_schema(scene.skin.ids)

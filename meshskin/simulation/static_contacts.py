@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from ..core.arguments import check_array, check_integer, check_type, check_vectors
 from ..core.arrays import Array
-from ..core.errors import RecordingError
+from ..core.errors import RecordingError, warn_left_out
 from ..core.progress import Progress, Stage
 from ..core.provenance import provenance
 from ..core.se3 import exp_so3, shortest_rotation, transform
@@ -58,9 +58,9 @@ def press(
     `simulate`, except those of an arm's joints, which raise ConfigError. chain: the effects of
     earlier presses, of the scene as `without_arm` returns it, to continue instead of new ones of
     the seed. progress("press", done, total): called between batches of presses. Raises
-    RecordingError without points, for points far from the body, or for forces that
-    are not positive; ContactError where the contact model holds at none of the points
-    under the reference force and no other is given.
+    RecordingError without points, for points far from the body, for forces that
+    are not positive, or for spins that are not finite. Contacts at which the contact model does not
+    hold are left out (LeftOutWarning), as in `simulate`; ContactError where it holds at none.
 
     >>> scene = ms.Scene.load("sphere")
     >>> len(ms.press(scene, scene.skin.positions[:3], force=[2.0, 3.0, 4.0]).time)
@@ -74,13 +74,22 @@ def press(
         raise RecordingError("there is no point to press", remedy="give one contact point or more")
     hit, count = scene.body.closest(given), len(given)
     _check_distance(hit.distance)
-    if force is None:  # outside the range of its model, a contact under it has no known pressures
-        scene.indentation.first_patch(scene.model.name, hit.curvature)
-    forces = _forces(scene.law.force_reference if force is None else force, count)
-    turn = exp_so3(np.broadcast_to(spin, count)[:, None] * [0.0, 0.0, 1.0])
+    forces = _for_each(
+        "forces of presses", scene.law.force_reference if force is None else force, count
+    )
+    _check_positive(forces)
+    turn = exp_so3(_for_each("spins of presses", spin, count)[:, None] * [0.0, 0.0, 1.0])
     down = shortest_rotation(hit.normal, [0.0, 0.0, -1.0])
+    limits = scene.model.exceeded_limits(
+        forces, hit.curvature, scene.indenter.radius, scene.material.effective_modulus
+    )
+    valid = limits == ""  # outside the range of its model, a contact has no known pressures
+    if not valid.any():
+        replace(scene.indentation, force=forces[0]).patch(scene.model.name, hit.curvature[0])
+    warn_left_out("pressed", limits[~valid], count, "contacts")
     frames = _static_frames(scene, hit, forces, scene.indenter.rotation @ (turn @ down))
-    return _record(scene, frames, chain or effect_pipeline(scene, seed), seed, progress)
+    chain = chain or effect_pipeline(scene, seed)
+    return _record(scene, frames.rows(valid), chain, seed, progress)
 
 
 def press_path(scene: Scene, path: Path, seed: int, chain: EffectPipeline | None) -> Recording:
@@ -118,21 +127,26 @@ def without_arm(scene: Scene) -> Scene:
     return scene.with_(loop=replace(scene.loop, mode="quasi_static"))
 
 
-def _forces(force: ArrayLike, count: int) -> Array:
-    """The forces (count,), N, of the presses. Raises RecordingError."""
-    given = check_array("forces of presses", force, error=RecordingError)
+def _for_each(what: str, values: ArrayLike, count: int) -> Array:
+    """One finite value (count,) for each press. Raises RecordingError."""
+    given = check_array(what, values, error=RecordingError)
     if given.shape not in ((), (count,)):
         raise RecordingError(
-            "press needs one force, or one per point",
+            f"{what} must be one number, or one per point",
             value=f"shape {given.shape}",
             limit=f"({count},)",
         )
-    bad = given[~((given > 0) & np.isfinite(given))]
-    if bad.size:
-        raise RecordingError(
-            "forces of presses must be positive", value=f"{bad[0]:g} N", limit="above 0 N"
-        )
+    if not np.isfinite(given).all():
+        raise RecordingError(f"{what} must be finite", value=given[~np.isfinite(given)][0])
     return np.array(np.broadcast_to(given, count))
+
+
+def _check_positive(forces: Array) -> None:
+    """Raise RecordingError for forces (m,), N, that do not press."""
+    if not (forces > 0).all():
+        raise RecordingError(
+            "forces of presses must be positive", value=f"{forces.min():g} N", limit="above 0 N"
+        )
 
 
 def _check_distance(distance: Array) -> None:

@@ -142,6 +142,22 @@ def test_no_effect_depends_on_the_batches(small, monkeypatch):
     np.testing.assert_allclose(parts.pressure, whole.pressure, rtol=1e-9)
 
 
+def test_a_sample_that_is_held_keeps_all_that_the_robot_recorded(small):
+    """Heading and force, with the noise of that sample: it is one measurement, not several."""
+    held = run(small, "encoder", "force_sensor", "sampling")
+    same = (np.diff(held.points, axis=0) == 0.0).all(axis=1)
+    assert 0.2 < same.mean() < 0.9
+    assert np.abs(np.diff(held.force))[same].max() == 0.0
+    turns = np.abs(np.diff(held.headings, axis=0)).max(axis=(1, 2))
+    assert turns[same].max() < 1e-12 < turns[~same].min()
+
+
+def test_encoders_turn_the_recorded_heading(one, plain):
+    turn = np.einsum("kji,kjl->kil", plain.headings, one("encoder").headings)
+    angle = np.linalg.norm(turn - np.swapaxes(turn, 1, 2), axis=(1, 2)) / np.sqrt(8.0)
+    assert 1e-4 < np.sqrt(np.mean(angle**2)) < 2e-3  # six joints with offsets of 2e-4 rad
+
+
 def test_the_frames_of_a_scene_are_contacts_with_the_indenter(small):
     """The pose of each frame's configuration maps its centre to the position of the indenter."""
     seen: list[Frames] = []

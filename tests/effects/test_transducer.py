@@ -101,6 +101,18 @@ def test_hysteresis_has_return_point_memory_and_is_rate_independent(context, gli
     assert jump[-1, 0] == pytest.approx(ends(0.8, 0.3), rel=1e-12)
 
 
+def test_hysteresis_forgets_a_touch_that_was_lifted_off(context, glide):
+    """Frames without contact are not among those that an effect sees."""
+    p0, frames = context.peak_pressure, glide(np.zeros(20), period=context.period)
+    p = p0 * np.tile(np.r_[np.linspace(0.1, 1.0, 10), np.linspace(0.05, 0.5, 10)][:, None], 80)
+    away = 2.0 * (np.arange(20) >= 10)
+    apart = Hysteresis().build(context)(p, replace(frames, time=frames.time + away))
+    lifted = np.insert(p, 10, 0.0, axis=0)
+    seen = Hysteresis().build(context)(lifted, glide(np.zeros(21), period=context.period))
+    np.testing.assert_allclose(apart, np.delete(seen, 10, axis=0), rtol=1e-12)
+    assert np.abs(apart - Hysteresis().build(context)(p, frames)).max() > 0.01 * p0
+
+
 def test_hysteresis_does_not_depend_on_the_batches(context, glide, pressures, split):
     frames = glide(np.zeros(30))
     whole = Hysteresis().build(context)(pressures, frames)

@@ -39,7 +39,7 @@ def angle_prism(width=0.06, thick=0.02, length=0.1):
         faces += [(k, j, j + 6), (k, j + 6, k + 6)]
     mesh = trimesh.Trimesh(corners, faces, process=False)
     mesh = mesh.subdivide_to_size(4e-3)
-    return ms.Body._from_triangles("angle", Triangles(mesh.vertices, mesh.faces), open=False)
+    return ms.Body.from_triangles("angle", Triangles(mesh.vertices, mesh.faces), open=False)
 
 
 def test_a_sphere_is_reached_everywhere():

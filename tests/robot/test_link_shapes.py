@@ -74,6 +74,13 @@ def test_primitives_are_enclosed():
     assert can.radius == pytest.approx(0.1, rel=0.02)
     (box,), _ = capsules("<geometry><box size='0.6 0.1 0.2'/></geometry>")
     assert box.radius == pytest.approx(0.5 * np.hypot(0.1, 0.2))
+    (pill,), _ = capsules("<geometry><capsule radius='0.1' length='0.4'/></geometry>")
+    np.testing.assert_allclose([pill.start, pill.end], [[0, 0, -0.2], [0, 0, 0.2]], atol=1e-15)
+    assert pill.radius == 0.1
+    assert capsules("<geometry><sphere radius='0'/></geometry>") == ([], [])
+    found, notes = capsules("<geometry><cone radius='0.1'/></geometry>")
+    assert (found, len(notes)) == ([], 1)
+    assert "cone" in notes[0]
     with pytest.raises(ArmError, match="bad size"):
         capsules("<geometry><box size='0.6 wide'/></geometry>")
 

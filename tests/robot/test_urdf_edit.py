@@ -45,9 +45,11 @@ def read_back(robot):
 
 
 def test_shapes_are_where_the_pose_and_the_scale_put_them(robot):
-    moved = read_back(robot.with_moved_shapes("palm", POSE, SCALE))
-    before, after = (r.body("palm").mesh.vertices for r in (robot, moved))
-    np.testing.assert_allclose(after, similar(before), atol=1e-9)
+    corrected = robot.with_moved_shapes("palm", POSE, SCALE)
+    moved = read_back(corrected)
+    before, *after = (r.body("palm").mesh.vertices for r in (robot, corrected, moved))
+    for vertices in after:
+        np.testing.assert_allclose(vertices, similar(before), atol=1e-9)
     pairs = zip(robot.text.splitlines(), moved.text.splitlines(), strict=True)
     assert [k for k, (a, b) in enumerate(pairs) if a != b] == [4, 5, 6]
     assert 'filename="palm.stl" scale="0.00102' in moved.text

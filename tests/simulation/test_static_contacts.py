@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.core.errors import RecordingError
+from meshskin.core.errors import ContactError, LeftOutWarning, RecordingError
 from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.effects.indenter_offset import IndenterOffset
 from meshskin.estimation.data.global_parameters import PRIORS
@@ -79,7 +79,7 @@ def test_points_in_other_units_are_refused(sphere):
     ("force", "message"),
     [
         (-1.0, "got -1 N, limit: above 0 N"),
-        ([3.0, np.nan], "got nan N"),
+        ([3.0, np.nan], "must be finite, got nan"),
         (0.0, "got 0 N"),
         ([1.0, 2.0, 3.0], r"one per point, got shape \(3,\), limit: \(2,\)"),
     ],
@@ -87,3 +87,20 @@ def test_points_in_other_units_are_refused(sphere):
 def test_what_is_no_force_is_refused(sphere, force, message):
     with pytest.raises(RecordingError, match=message):
         press(sphere, sphere.skin.positions[:2], force)
+
+
+def test_what_is_no_spin_is_refused(sphere):
+    with pytest.raises(
+        RecordingError, match=r"spins of presses .* got shape \(2,\), limit: \(3,\)"
+    ):
+        press(sphere, sphere.skin.positions[:3], spin=[0.1, 0.2])
+
+
+def test_contacts_outside_the_range_of_their_model_are_left_out(sphere):
+    points = sphere.skin.positions[:3]
+    with pytest.warns(LeftOutWarning, match="1 of 3 contacts is not pressed"):
+        found = press(sphere, points, force=[3.0, 60.0, 2.0])
+    np.testing.assert_array_equal(found.force, [3.0, 2.0])
+    np.testing.assert_array_equal(found.time, [0.0, 2.0 * static_contacts.PRESS_INTERVAL])
+    with pytest.raises(ContactError):
+        press(sphere, points, force=60.0)

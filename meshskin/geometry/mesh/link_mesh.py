@@ -21,17 +21,27 @@ KINDS = ("visual", "collision")
 def read(
     urdf: Path, link: str, folders: Iterable[str | Path] = (), kind: str = "visual"
 ) -> Triangles:
-    """The triangles, m, link frame, of all meshes of a link; `kind`: one of KINDS.
+    """The triangles, m, link frame, of all meshes of a link in a URDF file, as `in_tree`.
 
-    `folders` are searched for the files, besides the folder of the URDF file and its parents.
     Raises MeshError, UnknownNameError.
     """
-    if kind not in KINDS:
-        raise UnknownNameError("kind of a link's mesh", kind, KINDS)
     try:
         root = ET.fromstring(urdf.read_bytes())
     except (OSError, ET.ParseError) as error:
         raise MeshError(f"cannot read the URDF file {str(urdf)!r}", value=reason(error)) from error
+    return in_tree(root, urdf, link, folders, kind)
+
+
+def in_tree(
+    root: ET.Element, urdf: Path, link: str, folders: Iterable[str | Path], kind: str
+) -> Triangles:
+    """The triangles, m, link frame, of all meshes of a link; root: of the tree of the file `urdf`.
+
+    `folders` are searched for the meshes, besides the folder of the URDF file and its parents.
+    kind: one of KINDS. Raises MeshError, UnknownNameError.
+    """
+    if kind not in KINDS:
+        raise UnknownNameError("kind of a link's mesh", kind, KINDS)
     links = {element.get("name", ""): element for element in root.findall("link")}
     if link not in links:
         raise UnknownNameError("link", link, links, f" in {urdf.name}")
