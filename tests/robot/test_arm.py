@@ -412,9 +412,9 @@ def test_bad_descriptions(old, new, message):
 
 def test_limits_of_zero_are_none():
     """As in the files of Kinova and Romeo arms."""
-    arm = Arm.from_text(ODD.replace('effort="10"', 'effort="0" velocity="0"', 1), tip="tip")
+    arm = Arm.from_text(ODD.replace('effort="10"', 'effort="0"', 1), tip="tip")
     first = list(arm.joint_names).index("turn")
-    assert arm.effort_limit[first] == arm.velocity_limit[first] == np.inf
+    assert arm.effort_limit[first] == np.inf
 
 
 def test_no_moving_joint_before_the_tip():
