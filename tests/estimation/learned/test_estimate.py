@@ -161,6 +161,13 @@ def test_a_recording_without_readings_is_refused(readings):
         calibrate(recording(points, force, *(x[:0] for x in found)), belief(readings=readings))
 
 
+@pytest.mark.parametrize("readings", ["pressure", "raw"])
+def test_a_recording_without_a_force_is_refused(readings):
+    points, force, *found = world(contacts=20)
+    with pytest.raises(CalibrationError, match="no contact is pressed, got 20 forces of at most 0"):
+        calibrate(recording(points, 0 * force, *found), belief(readings=readings))
+
+
 @pytest.mark.parametrize("groups", [(), (range(5, 12), [0, 20])])
 def test_every_derivative_of_the_learned_response(groups):
     known = belief(contact="learned", response_groups=groups)
@@ -312,6 +319,27 @@ def test_forces_recorded_as_constant_are_mended():
     assert np.sqrt(np.mean(error**2)) < 0.05e-3
     assert (error < 5 * found.position_sigma).all()
     assert "the force is constant" in found.verdict.reasons[0]
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_corrupt_and_stuck_taxels_of_a_learned_response_are_named(unit):
+    """unit: of the readings, Pa; another than 1 Pa is believed to be raw."""
+    points, force, contact, taxel, pressure = world(contacts=300)
+    pressure[np.flatnonzero(taxel == 3)[0]] = 1e99
+    kept, every = taxel != 7, np.arange(0, 300, 3)  # in more, the level would be that at rest
+    contact = np.concatenate([contact[kept], every])
+    taxel = np.concatenate([taxel[kept], np.full(100, 7)])
+    pressure = np.concatenate([pressure[kept], np.full(100, 0.4 * PEAK)])
+    order = np.argsort(contact, kind="stable")
+    given = recording(points, force, contact[order], taxel[order], unit * pressure[order])
+    found = calibrate(
+        given, belief(contact="learned", readings="pressure" if unit == 1.0 else "raw")
+    )
+    assert found.faults[3] == "1 corrupt, stuck or negative readings left out"
+    level = f"{0.4 * PEAK / 1e3:.3g}"
+    words = f"{level} kPa" if unit == 1.0 else f"a level of {level}"
+    assert found.faults[7] == f"stuck at {words}"
+    assert np.isnan(found.positions[7]).all()
 
 
 def test_an_estimate_that_does_not_converge_is_refused(monkeypatch):
