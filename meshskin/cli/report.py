@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import CalibrationError, ConfigError, GraphError, MeshskinError
 from . import body_options
 from .calibrate import HELD_OUT
+from .options import refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder with the results")
+    parser.add_argument("results", type=Path, metavar="FOLDER", help="folder with the results")
     parser.add_argument("--scene", help="name or file of the scene that was run")
     parser.add_argument("--recording", type=Path, help="recorded log that was calibrated")
     parser.add_argument("--body", type=Path, metavar="MESH", help="mesh of the body")
@@ -39,7 +40,9 @@ def command(options: argparse.Namespace) -> int:
     from ..estimation.calibration import Calibration
     from ..estimation.cross_validation import CrossValidation
 
-    folder = options.folder
+    if options.body is None:
+        refuse(options, body_options.NAMES, "{} is for a mesh", "give --body, too")
+    folder = options.results
     found = Calibration.load(folder / "calibration")
     metrics = _metrics(folder)
     inputs: dict[str, Any] = metrics.get("inputs", {})
@@ -53,8 +56,9 @@ def command(options: argparse.Namespace) -> int:
             return None
 
     scene = attempt("scene", lambda: _scene(options, inputs))
-    recording = attempt("recording", lambda: _recording(options, inputs))
-    body = scene.body if scene is not None else attempt("body", lambda: _body(options, inputs))
+    recording = attempt("recording", lambda: _recording(options, metrics))
+    own = scene is not None and options.body is None
+    body = scene.body if own else attempt("body", lambda: _body(options, inputs))
     validation = None
     if "cross_validation" in metrics:
         validation = attempt("held out", lambda: CrossValidation.load(folder / HELD_OUT))
@@ -98,18 +102,42 @@ def _scene(options: argparse.Namespace, inputs: dict[str, Any]) -> Scene | None:
     return None if name is None else Scene.load(name)
 
 
-def _recording(options: argparse.Namespace, inputs: dict[str, Any]) -> Recording:
-    """The recording of the options, of the folder, or of the inputs."""
+def _recording(options: argparse.Namespace, metrics: dict[str, Any]) -> Recording:
+    """The recording that was calibrated: that of the options, of the folder, or of the inputs.
+
+    Raises ConfigError where it is another one, as that of an earlier run into the same folder.
+    """
     from ..recording.recording import Recording
     from ..recording.recording_files import part_path
 
-    own = options.folder / "recording"
-    if options.recording is None and part_path(own, "contacts").exists():
-        return Recording.load(own)
-    path = options.recording or inputs.get("recording")
-    if path is None:
+    inputs = metrics.get("inputs", {})
+    own = options.results / "recording"
+    paths = [own] if part_path(own, "contacts").exists() else []
+    paths += [inputs["recording"]] if "recording" in inputs else []
+    paths = paths if options.recording is None else [options.recording]
+    if not paths:
         raise ConfigError("it is not known which one was calibrated", remedy="give --recording")
-    return Recording.load(path)
+    for path in paths[:-1]:
+        with suppress(MeshskinError):
+            if _is_calibrated(recording := Recording.load(path), metrics):
+                return recording
+    recording = Recording.load(paths[-1])
+    if not _is_calibrated(recording, metrics):
+        raise ConfigError(
+            f"{paths[-1]} is not the recording that was calibrated",
+            value=f"{len(recording.time)} contacts, {len(recording.pressure)} readings",
+            remedy="give it as --recording",
+        )
+    return recording
+
+
+def _is_calibrated(recording: Recording, metrics: dict[str, Any]) -> bool:
+    """Whether the metrics are of this recording; without its digest, whether the numbers of
+    contacts are equal."""
+    known = metrics.get("recording_digest")
+    if known is not None:
+        return bool(recording.digest == known)
+    return bool(metrics.get("contacts", len(recording.time)) == len(recording.time))
 
 
 def _body(options: argparse.Namespace, inputs: dict[str, Any]) -> Any:
