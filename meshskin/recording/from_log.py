@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array, Index, nearest_rows
 from ..core.errors import ConfigError, RecordingError
-from .log_map import BODY, CONTACT, LogMap, StreamMap
+from .log_map import BODY, CONTACT, LogMap, Pairs, StreamMap
 from .readers.yarp import SKIN_CONTACTS
 from .recording import CONTACTS as CONTACT_SCHEMA
 from .recording import FROM_TAXELS, QUATERNION, UNCOMPARED, Recording
-from .resample import REST_SIGMAS, LogFrames, Pairs, paired
+from .resample import REST_SIGMAS, LogFrames, paired
 from .skin_log import SkinLog
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
 from .tare import thresholds

@@ -1,5 +1,6 @@
 """From the streams of a log to one clock, and to a recording where contact points are known."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,6 +62,18 @@ def test_all_streams_are_brought_to_the_clock_of_the_robot(streams):
     truth = ROBOT.rest - ROBOT.counts_at(found.time)
     assert abs((found.readings - truth).mean()) < 0.1
     assert (found.readings - truth).std() < 1.1 * np.hypot(ROBOT.noise, 0.3)
+
+
+def test_a_late_wrench_moves_itself_and_not_the_skin(streams):
+    times, wrench = streams["/wrench"]
+    frames = log_frames(log_of({**streams, "/wrench": (times + 0.06, wrench)}), MAP)
+    found = frames.skin_log
+    assert found.clock_offset == pytest.approx(ROBOT.late, abs=2e-3)
+    np.testing.assert_allclose(found.force, ROBOT.force_at(found.time), atol=0.12)
+    (note,) = frames.notes
+    assert re.match(r"the wrench is (59|60)\.\d ms late against the joints", note)
+    given = LogMap((MAP.streams[0], replace(MAP.streams[1], delay=0.06), MAP.streams[2]))
+    assert not log_frames(log_of({**streams, "/wrench": (times + 0.06, wrench)}), given).notes
 
 
 def test_presses_beside_the_taxels_do_not_move_the_level_of_the_force():
