@@ -229,6 +229,21 @@ def test_a_recording_has_the_contact_points_in_the_body_frame(streams, tmp_path)
     assert again.metadata["taxel_ids"] == list(range(25))
 
 
+def test_presses_beside_the_taxels_are_no_noise_of_the_force():
+    robot = RobotLog(contacts=14, seed=3)
+    robot.sites[::3] = 0.2  # where no taxel is
+    time = np.arange(0, robot.duration, 1 / 100)
+    depth, site = robot.stroke(time)
+    tip = np.column_stack(
+        [robot.sites[site], depth, 0 * np.stack([time] * 3, axis=1), 1 + 0 * time]
+    )
+    log_map = LogMap((*MAP.streams, StreamMap("/tip", "pose")))
+    log = log_of({**robot.streams(), "/tip": (time, tip)}, log_map)
+    recording = recording_from_log(log, log_map, log_frames(log, log_map))
+    assert len(np.unique(robot.stroke(recording.time)[1])) == 9
+    assert recording.force.min() < 0.5
+
+
 @pytest.mark.parametrize(("rate", "second"), [(50, None), (200, None), (50, 20.0)])
 def test_contacts_of_a_stream_are_taken_where_there_is_one(streams, rate, second):
     """second: distance, mm, of another contact at the same times in the second half of the log."""
