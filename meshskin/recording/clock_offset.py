@@ -18,12 +18,15 @@ part of the offset: the two are not distinguished.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array, runs
+from .log_map import Pairs
+from .stream import JOINTS, WRENCH
+from .tare import Tared
 
 LARGEST = 0.5
 """Largest offset that is looked for, s: clocks that are synchronized at all, or stamps at receipt,
@@ -62,6 +65,9 @@ USABLE = 0.01
 RIDGE = 1e-6
 """Added to the normal matrix, frames, so that knots without frames do not make it singular."""
 
+DIFFERENT = 3.0
+"""Standard deviations up to which two estimates of an offset agree: 1 in 400 pairs are farther."""
+
 
 @dataclass(frozen=True)
 class ClockOffset:
@@ -86,6 +92,47 @@ class ClockOffset:
     def usable(self) -> bool:
         """Whether the offset is determined well enough to be applied."""
         return self.sigma <= USABLE
+
+
+def estimates(times: Array, skin: Tared, pairs: Pairs) -> tuple[ClockOffset, ...]:
+    """Estimates of the clock offset by force and by motion: first the usable ones, of these first
+    by motion, as contact points are on the clock of the joints, and of these by sigma."""
+    found = []
+    for stream, given in pairs:
+        if given.kind not in (WRENCH, JOINTS):
+            continue
+        states = stream.values[:, :3] if given.kind == WRENCH else stream.values
+        whole = np.isfinite(states).all(axis=0)
+        if not whole.any() or len(stream) < 2:
+            continue
+        by = "force" if given.kind == WRENCH else "motion"
+        estimate = clock_offset(
+            times, skin.readings, skin.noise, skin.in_contact,
+            stream.times - (given.delay or 0.0), states[:, whole].astype(float), by,
+        )  # fmt: skip
+        if estimate is not None:
+            found.append(estimate)
+    return tuple(sorted(found, key=lambda one: (not one.usable, one.by != "motion", one.sigma)))
+
+
+def one_clock(pairs: Pairs, offsets: tuple[ClockOffset, ...]) -> tuple[Pairs, list[str]]:
+    """The streams with the wrench on the clock of the joints, and the note on it, where the offset
+    of the skin by force differs from that by motion."""
+    best = {one.by: one for one in reversed(offsets) if one.usable}
+    if len(best) < 2:
+        return pairs, []
+    force, motion = best["force"], best["motion"]
+    late = motion.offset - force.offset
+    if abs(late) <= DIFFERENT * float(np.hypot(force.sigma, motion.sigma)):
+        return pairs, []
+    note = (
+        f"the wrench is {1e3 * abs(late):.1f} ms {'late' if late > 0 else 'early'} against the "
+        f"joints, as the skin is late by {force} and by {motion}: the wrench is moved by that; "
+        "give its delay_ms if it is known"
+    )
+    return [
+        (s, replace(m, delay=(m.delay or 0.0) + late) if m.kind == WRENCH else m) for s, m in pairs
+    ], [note]
 
 
 def clock_offset(

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array, Index, nearest_rows
 from ..core.errors import ConfigError, RecordingError
-from .log_map import BODY, CONTACT, LogMap, StreamMap
+from .log_map import BODY, CONTACT, LogMap, Pairs, StreamMap
 from .readers.yarp import SKIN_CONTACTS
 from .recording import CONTACTS as CONTACT_SCHEMA
 from .recording import FROM_TAXELS, QUATERNION, UNCOMPARED, Recording
-from .resample import REST_SIGMAS, LogFrames, Pairs, paired
+from .resample import REST_SIGMAS, LogFrames, paired
 from .skin_log import SkinLog
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
-from .tare import thresholds
+from .tare import SIGMA_PER_MAD, thresholds
 
 SAME_CONTACT = 2e-3
 """Distance, m, up to which successive contacts within a frame of the skin are one that moves: that
@@ -42,11 +42,11 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
             remedy="add a stream of wrenches, or contacts with force",
         )
     # the rows of contacts have no noise at rest: the indenter may touch where no taxel answers
-    rest = force[~given.in_contact] if given.force is not None else force[:0]
-    least = (
-        REST_SIGMAS * float(np.sqrt(np.mean(rest[np.isfinite(rest)] ** 2))) if len(rest) else 0.0
-    )
-    used = given.in_contact & np.isfinite(points).all(axis=1) & (force > max(least, 0.0))
+    rest = np.abs(force[~given.in_contact & np.isfinite(force)])
+    measured = given.force is not None and len(rest)
+    # the median: the indenter may press beside the taxels
+    least = REST_SIGMAS * SIGMA_PER_MAD * float(np.median(rest)) if measured else 0.0
+    used = given.in_contact & np.isfinite(points).all(axis=1) & (force > least)
     if not used.any():
         raise _nothing_used(given, points, force, least)
     columns = [given.time, *points.T, *normals.T, force]

@@ -26,7 +26,7 @@ from ..core.arguments import check_integer, check_name, check_path, check_type
 from ..core.config import check_fields, check_table, from_table, quantity, read_toml
 from ..core.errors import ConfigError, UnknownNameError
 from . import field_path
-from .stream import CONTACTS, JOINTS, KINDS, POSE, TAXELS, WRENCH
+from .stream import CONTACTS, JOINTS, KINDS, POSE, TAXELS, WRENCH, Stream
 
 RECEIPT = "receipt"
 """Value of `time` that takes the time at which the recorder received a message."""
@@ -144,6 +144,10 @@ class StreamMap:
                 limit=f"{count} values in a message",
             )
         return tuple(map(str, self.ids or range(self.first_id, self.first_id + count)))
+
+
+Pairs = list[tuple[Stream, StreamMap]]
+"""Streams of a log with their maps."""
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ..core.arguments import check_type
 from ..core.arrays import Array, nearest_rows
 from ..core.errors import ConfigError, RecordingError
-from .clock_offset import ClockOffset, clock_offset
-from .log_map import LogMap, StreamMap
+from .clock_offset import ClockOffset, estimates, one_clock
+from .log_map import LogMap, Pairs, StreamMap
 from .readers.yarp import SKIN_CONTACTS
 from .skin_log import SkinLog
 from .stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, overlap
@@ -30,7 +30,7 @@ class LogFrames:
     tared: dict[str, Tared]
     """What the tare of each skin found, by the name of its stream."""
     offsets: tuple[ClockOffset, ...]
-    """Estimates of the clock offset, the best first; empty where there is none."""
+    """Estimates of the clock offset, the applied one first; empty where there is none."""
     notes: tuple[str, ...]
     clock_compared: bool = True
     """Whether the clock of the skin is that of the other streams, or its offset is known."""
@@ -61,7 +61,9 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     tared = {s.name: tare(s.times, s.values, m.polarity, s.name) for s, m in skins}
     times = skins[0][0].times - (skins[0][1].delay or 0.0)
     base = tared[skins[0][0].name]
-    offsets = _offsets(times, base, pairs) if skins[0][1].delay is None else ()
+    offsets = estimates(times, base, pairs) if skins[0][1].delay is None else ()
+    pairs, moved = one_clock(pairs, offsets)
+    notes += moved
     offset, compared = 0.0, True
     if offsets and offsets[0].usable:
         offset = offsets[0].offset
@@ -100,9 +102,6 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
         offsets[0].sigma if offsets and offsets[0].usable else None,
     )  # fmt: skip
     return LogFrames(skin_log, tared, offsets, tuple(notes), compared)
-
-
-Pairs = list[tuple[Stream, StreamMap]]
 
 
 def _of_skin(stream: Stream, given: StreamMap) -> bool:
@@ -146,26 +145,6 @@ def _ids(skins: Pairs) -> NDArray[np.intp]:
 def _skin_times(stream: Stream, given: StreamMap, offset: float) -> Array:
     """Times of a skin on the clock of the robot."""
     return stream.times - (offset if given.delay is None else given.delay)
-
-
-def _offsets(times: Array, skin: Tared, pairs: Pairs) -> tuple[ClockOffset, ...]:
-    """Estimates of the clock offset by force and by motion, the one of smaller sigma first."""
-    found = []
-    for stream, given in pairs:
-        if given.kind not in (WRENCH, JOINTS):
-            continue
-        states = stream.values[:, :3] if given.kind == WRENCH else stream.values
-        whole = np.isfinite(states).all(axis=0)
-        if not whole.any() or len(stream) < 2:
-            continue
-        by = "force" if given.kind == WRENCH else "motion"
-        estimate = clock_offset(
-            times, skin.readings, skin.noise, skin.in_contact,
-            stream.times - (given.delay or 0.0), states[:, whole].astype(float), by,
-        )  # fmt: skip
-        if estimate is not None:
-            found.append(estimate)
-    return tuple(sorted(found, key=lambda one: one.sigma))
 
 
 def _kept(times: Array, pairs: Pairs, offset: float) -> NDArray[np.bool_]:

@@ -1,5 +1,6 @@
 """From the streams of a log to one clock, and to a recording where contact points are known."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,6 +62,18 @@ def test_all_streams_are_brought_to_the_clock_of_the_robot(streams):
     truth = ROBOT.rest - ROBOT.counts_at(found.time)
     assert abs((found.readings - truth).mean()) < 0.1
     assert (found.readings - truth).std() < 1.1 * np.hypot(ROBOT.noise, 0.3)
+
+
+def test_a_late_wrench_moves_itself_and_not_the_skin(streams):
+    times, wrench = streams["/wrench"]
+    frames = log_frames(log_of({**streams, "/wrench": (times + 0.06, wrench)}), MAP)
+    found = frames.skin_log
+    assert found.clock_offset == pytest.approx(ROBOT.late, abs=2e-3)
+    np.testing.assert_allclose(found.force, ROBOT.force_at(found.time), atol=0.12)
+    (note,) = frames.notes
+    assert re.match(r"the wrench is (59|60)\.\d ms late against the joints", note)
+    given = LogMap((MAP.streams[0], replace(MAP.streams[1], delay=0.06), MAP.streams[2]))
+    assert not log_frames(log_of({**streams, "/wrench": (times + 0.06, wrench)}), given).notes
 
 
 def test_presses_beside_the_taxels_do_not_move_the_level_of_the_force():
@@ -214,6 +227,21 @@ def test_a_recording_has_the_contact_points_in_the_body_frame(streams, tmp_path)
     recording.save(tmp_path / "log")
     again = Recording.load(tmp_path / "log")
     assert again.metadata["taxel_ids"] == list(range(25))
+
+
+def test_presses_beside_the_taxels_are_no_noise_of_the_force():
+    robot = RobotLog(contacts=14, seed=3)
+    robot.sites[::3] = 0.2  # where no taxel is
+    time = np.arange(0, robot.duration, 1 / 100)
+    depth, site = robot.stroke(time)
+    tip = np.column_stack(
+        [robot.sites[site], depth, 0 * np.stack([time] * 3, axis=1), 1 + 0 * time]
+    )
+    log_map = LogMap((*MAP.streams, StreamMap("/tip", "pose")))
+    log = log_of({**robot.streams(), "/tip": (time, tip)}, log_map)
+    recording = recording_from_log(log, log_map, log_frames(log, log_map))
+    assert len(np.unique(robot.stroke(recording.time)[1])) == 9
+    assert recording.force.min() < 0.5
 
 
 @pytest.mark.parametrize(("rate", "second"), [(50, None), (200, None), (50, 20.0)])
