@@ -257,14 +257,16 @@ def _profile(data: Measurements, response: LearnedResponse) -> list[Finding]:
 def pressures(recording: Recording, data: Measurements) -> list[Finding]:
     """Findings on the column of readings."""
     found, count = [], max(len(recording.pressure), 1)
-    negative = 0 if data.belief.readings == RAW else int(np.sum(recording.pressure < 0))
+    below = (recording.pressure < 0) & (data.belief.readings != RAW)
+    negative = int(np.sum(below))
     if negative > MAX_NEGATIVE * count:
         words = (
             f"the pressure is negative in {negative} of {count} readings (limit "
             f"{MAX_NEGATIVE:.1%}); they were left out: remove the offsets of the sensors"
         )
         found.append((DOUBT, words))
-    corrupt = len(data.corrupt) - negative
+    pressed = np.isin(recording.reading_contact, data.recorded)  # the corrupt ones are of these
+    corrupt = len(data.corrupt) - int(np.sum(below & pressed))
     if corrupt > MAX_NEGATIVE * count:
         words = (
             f"{corrupt} of {count} readings are corrupt (limit {MAX_NEGATIVE:.1%}); they were left "

@@ -144,6 +144,18 @@ def test_wrong_logs_are_named(noisy, recorded, name, noise):
         assert any("by the misfit" in factor for factor in found.factors)
 
 
+def test_negative_readings_of_frames_without_force_do_not_hide_corrupt_ones(noisy, recorded):
+    lifted = np.arange(CONTACTS) % 5 == 0
+    there = lifted[recorded.reading_contact]
+    pressure = np.where(there, -1.0, recorded.pressure)
+    corrupt = np.flatnonzero(~there)[::150]
+    pressure[corrupt] = 1e99
+    wrong = changed(recorded, force=np.where(lifted, 0.0, recorded.force), pressure=pressure)
+    found = [words for _, words in verdict.pressures(wrong, gather(wrong, noisy.belief()))]
+    assert found[0].startswith(f"the pressure is negative in {there.sum()} of")
+    assert found[1].startswith(f"{len(corrupt)} of {len(pressure)} readings are corrupt")
+
+
 @pytest.mark.parametrize("factor", [pytest.param(0.5, marks=pytest.mark.slow), 3.0])
 def test_no_taxel_is_confidently_wrong_where_the_model_does_not_fit(noisy, recorded, factor):
     found = ms.calibrate(changed(recorded, pressure=factor * recorded.pressure), noisy.belief())
