@@ -16,7 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.arrays import MAD, Array, means_by_group, robust_sigma, sums_by_group
+from ...scene.belief import RAW
 from ..data.measurements import Measurements
+from ..result import join_words
 from .pressure import CENSORED, OBSERVED, SATURATED
 from .readings import Readings
 
@@ -141,6 +143,18 @@ def stuck_taxels(data: Measurements) -> StuckTaxels:
     far = np.bincount(data.taxel, gap - limit, n) > 0
     rows = np.flatnonzero(far & (deviation < 3 * data.sigma) & (mean > 3 * deviation))
     return StuckTaxels(rows, mean[rows])
+
+
+def name_left_out(faults: np.ndarray, data: Measurements, stuck: StuckTaxels) -> None:
+    """Add the corrupt readings that were left out to the faults (n,); those of stuck taxels are
+    their level alone."""
+    for row, count in zip(*np.unique(data.corrupt[:, 1], return_counts=True), strict=True):
+        left_out = f"{count} corrupt, stuck or negative readings left out"
+        faults[row] = join_words(faults[row], left_out)
+    raw = data.belief.readings == RAW
+    for row, level in zip(stuck.rows, stuck.level * data.unit, strict=True):
+        words = f"a level of {level:.3g}" if raw else f"{level / 1e3:.3g} kPa"
+        faults[row] = f"stuck at {words}"
 
 
 def residuals(readings: Readings, mu: Array, sigma: float) -> Array:

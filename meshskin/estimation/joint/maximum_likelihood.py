@@ -21,9 +21,9 @@ from ...core.errors import CalibrationError
 from ...core.progress import Stage
 from .. import chart
 from ..data.measurements import Measurements
-from ..result import EstimatorResult, join_words, name_rivals
+from ..result import EstimatorResult, name_rivals
 from ..trilateration import coactivation, trilaterate
-from .fault_detection import stuck_taxels
+from .fault_detection import name_left_out, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .module_parametrization import align_modules
 from .noise import with_estimated_noise
@@ -66,11 +66,7 @@ def optimum(
     stuck, live, rivals = stuck_taxels(data), estimator.live, resolve_rivals(estimator)
     points = estimator.problem.points(estimator.state)
     name_rivals(estimator.faults, live, points, rivals.points)
-    for row, count in zip(*np.unique(data.corrupt[:, 1], return_counts=True), strict=True):
-        left_out = f"{count} corrupt, stuck or negative readings left out"
-        estimator.faults[row] = join_words(estimator.faults[row], left_out)
-    for row, level in zip(stuck.rows, stuck.level, strict=True):
-        estimator.faults[row] = f"stuck at {level / 1e3:.3g} kPa"
+    name_left_out(estimator.faults, data, stuck)
     if estimator.unconverged.all():
         raise CalibrationError(
             "no taxel of the joint estimate converges",

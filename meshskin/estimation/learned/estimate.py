@@ -148,17 +148,14 @@ def _attempt(
         if excluded:
             raise _unconverged(f"implausible {', '.join(wild)}")
         return recorded, tuple(wild)
+    fault_detection.name_left_out(estimator.faults, recorded, stuck)
     found = learned_result(effects, estimator, rivals, reasons, clock)
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)
     fitted = effects.fitted()
     jump = largest_jump(fitted)
-    departures = {
-        **response_groups(fitted).departure,
-        **departures,
-        **found.departures,
-        **jump.departure,
-    }
+    departures = {**response_groups(fitted).departure, **departures, **found.departures}
+    departures |= jump.departure
     return replace(found, departures=departures, jump=jump.shown)
 
 

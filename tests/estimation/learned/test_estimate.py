@@ -314,6 +314,27 @@ def test_forces_recorded_as_constant_are_mended():
     assert "the force is constant" in found.verdict.reasons[0]
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_corrupt_and_stuck_taxels_of_a_learned_response_are_named(unit):
+    """unit: of the readings, Pa; another than 1 Pa is believed to be raw."""
+    points, force, contact, taxel, pressure = world(contacts=300)
+    pressure[np.flatnonzero(taxel == 3)[0]] = 1e99
+    kept, every = taxel != 7, np.arange(0, 300, 3)  # in more, the level would be that at rest
+    contact = np.concatenate([contact[kept], every])
+    taxel = np.concatenate([taxel[kept], np.full(100, 7)])
+    pressure = np.concatenate([pressure[kept], np.full(100, 0.4 * PEAK)])
+    order = np.argsort(contact, kind="stable")
+    given = recording(points, force, contact[order], taxel[order], unit * pressure[order])
+    found = calibrate(
+        given, belief(contact="learned", readings="pressure" if unit == 1.0 else "raw")
+    )
+    assert found.faults[3] == "1 corrupt, stuck or negative readings left out"
+    level = f"{0.4 * PEAK / 1e3:.3g}"
+    words = f"{level} kPa" if unit == 1.0 else f"a level of {level}"
+    assert found.faults[7] == f"stuck at {words}"
+    assert np.isnan(found.positions[7]).all()
+
+
 def test_an_estimate_that_does_not_converge_is_refused(monkeypatch):
     monkeypatch.setattr(random_effects, "MAX_ITERATIONS", 1)
     with pytest.raises(CalibrationError, match="did not converge, got steps still decrease"):
