@@ -225,7 +225,7 @@ def _pressed(
     """The contacts with a force and their readings that are not corrupt, and the belief with what
     raw readings tell of threshold and saturation."""
     pressure, unit, falling, used = recording.pressure, 1.0, False, recording.force > 0
-    if belief.readings == RAW and np.isfinite(pressure).any():
+    if belief.readings == RAW and used.any() and np.isfinite(pressure).any():
         pressure, belief, unit, falling = nominal_pressure(
             recording, belief, index, hit.curvature, used
         )

@@ -161,6 +161,13 @@ def test_a_recording_without_readings_is_refused(readings):
         calibrate(recording(points, force, *(x[:0] for x in found)), belief(readings=readings))
 
 
+@pytest.mark.parametrize("readings", ["pressure", "raw"])
+def test_a_recording_without_a_force_is_refused(readings):
+    points, force, *found = world(contacts=20)
+    with pytest.raises(CalibrationError, match="no contact is pressed, got 20 forces of at most 0"):
+        calibrate(recording(points, 0 * force, *found), belief(readings=readings))
+
+
 @pytest.mark.parametrize("groups", [(), (range(5, 12), [0, 20])])
 def test_every_derivative_of_the_learned_response(groups):
     known = belief(contact="learned", response_groups=groups)
