@@ -34,6 +34,9 @@ class ContactMotion:
     """Their means (K,) before the readings; by default zero."""
     root: Array = field(default_factory=lambda: np.empty(0))
     """(K, k) with root root^T their covariance before the readings; by default of `sigma`."""
+    held: Array = field(default_factory=lambda: np.empty(0))
+    """(K, h) with held held^T the further covariance, of directions that nothing determines: the
+    unknowns stay at their means in these; by default there are none."""
     about: Array = field(default_factory=lambda: np.empty(0))
     """The u (k,) at which the recording's contacts were computed; by default zero."""
 
@@ -52,7 +55,9 @@ class ContactMotion:
         mean = self.mean if len(self.mean) else np.zeros(count)
         root = self.root if len(self.root) else np.diag(sigma)
         about = self.about if len(self.about) else np.zeros(root.shape[1])
-        for name, array in zip(("mean", "root", "about"), (mean, root, about), strict=True):
+        held = self.held if len(self.held) else np.zeros((count, 0))
+        given = {"mean": mean, "root": root, "about": about, "held": held}
+        for name, array in given.items():
             object.__setattr__(self, name, np.asarray(array, dtype=float))
 
     @property
@@ -74,10 +79,13 @@ class ContactMotion:
         """Displacements (m, 3), m, of the indenter's centre at u (k,)."""
         return np.asarray(self.slopes @ (self.root @ (u - self.about)))
 
+    def covariance(self, covariance: Array) -> Array:
+        """Covariance (K, K) of the unknowns, given that of u (k, k)."""
+        return np.asarray(self.root @ covariance @ self.root.T + self.held @ self.held.T)
+
     def unknowns(self, u: Array, covariance: Array) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of each unknown at u (k,) with a covariance (k, k)."""
         values = self.mean + self.root @ u
-        variances = np.einsum("ai,ij,aj->a", self.root, covariance, self.root)
-        sigma = np.sqrt(np.maximum(variances, 0.0))
+        sigma = np.sqrt(np.maximum(np.diag(self.covariance(covariance)), 0.0))
         found = zip(values, sigma, strict=True)
         return {n: (float(v), float(s)) for n, (v, s) in zip(self.labels, found, strict=True)}

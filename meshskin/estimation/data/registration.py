@@ -2,7 +2,11 @@
 
 Contact points are on the surface of the body at its true place. Over a body that curves in several
 directions their distances determine most of an unknown offset, which readings hardly do: taxels
-move with it. The directions in which the body slides along itself are left to the prior.
+move with it. Where the body slides along itself, as a ball does that turns about its centre,
+nothing tells the offset: contacts and taxels move over the body together, and all readings stay.
+Such directions are held at their prior mean and named as undetermined. Whether a taxel is
+determined is then a statement about its place among the contacts, in the recorded frame; its
+covariance is that of its place on the body, with the prior variance of the held directions.
 """
 
 from __future__ import annotations
@@ -31,6 +35,11 @@ CELL = 0.01
 wide as this and more."""
 
 
+UNDETERMINED = 0.5
+"""Part of the prior variance of a direction of the offset that the distances leave, from which the
+direction is held: the prior then tells more than they do."""
+
+
 def registered(
     belief: Belief, points: Array, used: np.ndarray | slice = slice(None)
 ) -> tuple[Belief, Array]:
@@ -53,17 +62,25 @@ def registered(
     declared = declared_parameters(("body_offset",), belief.priors, 1.0, 1.0)
     offset, covariance = _fit(belief, touching, declared.sigma)
     moved = _moved(points, offset)
-    arms = -se3.hat(moved)
-    value, vectors = np.linalg.eigh(covariance)
+    centres = moved + belief.indenter.radius * belief.body.closest(moved).normal
+    value, vectors = np.linalg.eigh(covariance / np.outer(declared.sigma, declared.sigma))
+    root = declared.sigma[:, None] * vectors * np.sqrt(np.maximum(value, 0.0))
     motion = ContactMotion(
         labels=declared.labels,
         sigma=declared.sigma,
-        slopes=np.concatenate([np.broadcast_to(np.eye(3), arms.shape), arms], axis=2),
+        slopes=slopes(centres, offset),
         mean=offset,
-        root=vectors * np.sqrt(np.maximum(value, 0.0)),
+        root=root[:, value < UNDETERMINED],
+        held=root[:, value >= UNDETERMINED],
     )
     unknown = tuple(name for name in belief.unknown if name != "body_offset")
     return replace(belief, unknown=unknown, contact_motion=motion), moved
+
+
+def slopes(moved: Array, offset: Array) -> Array:
+    """Derivatives (m, 3, 6) by an offset (6,), m and rad, of points (m, 3), m, that it moved."""
+    arms = -se3.hat(moved - offset[:3]) @ se3.left_jacobian(offset[3:])
+    return np.concatenate([np.broadcast_to(np.eye(3), arms.shape), arms], axis=2)
 
 
 def _moved(points: Array, offset: Array) -> Array:
@@ -83,7 +100,7 @@ def _fit(belief: Belief, points: Array, sigma: Array) -> tuple[Array, Array]:
         weight = huber_weights(hit.distance, scatter)
         cells = np.unique(np.floor(moved / CELL), axis=0, return_inverse=True)[1].ravel()
         weight /= np.bincount(cells)[cells]
-        jacobian = np.concatenate([hit.normal, np.cross(moved - offset[:3], hit.normal)], axis=1)
+        jacobian = np.einsum("mi,mik->mk", hit.normal, slopes(moved, offset))
         hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
         gradient = jacobian.T @ (weight * hit.distance) + prior * offset
         step = -np.linalg.solve(hessian, gradient)

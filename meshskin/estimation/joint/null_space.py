@@ -20,6 +20,10 @@ MIN_SHARE = 0.2
 """Least component of a direction of a contact motion that is named: these have many unknowns, and
 parts of 4 % of a direction's variance are no help to who reads it."""
 
+TIE = 1e-3
+"""Difference of the variances of directions, relative to their priors, that are undetermined alike:
+far above rounding, far below what is named."""
+
 
 def undetermined(
     parameters: GlobalParameters, information: Array, gains: Array | None
@@ -61,8 +65,9 @@ def undetermined_motion(parameters: GlobalParameters, covariance: Array) -> tupl
     if (motion := parameters.motion) is None:
         return ()
     at = parameters.columns[MOTION]
-    root = motion.root / motion.sigma[:, None]
-    value, vector = np.linalg.eigh(root @ covariance[at, at] @ root.T)
+    left = motion.covariance(covariance[at, at]) / np.outer(motion.sigma, motion.sigma)
+    # of directions that are undetermined alike, those of single unknowns
+    value, vector = np.linalg.eigh(left - TIE * np.diag(np.arange(len(left))))
     words = []
     for k in np.flatnonzero(value > 0.5)[::-1]:
         v = vector[:, k]
@@ -74,6 +79,7 @@ def undetermined_motion(parameters: GlobalParameters, covariance: Array) -> tupl
 def _in_words(direction: dict[str, float]) -> str:
     if len(direction) == 1:
         return f"{next(iter(direction))} is not determined"
-    largest = max(direction.values(), key=abs)
+    most = max(map(abs, direction.values()))
+    largest = next(x for x in direction.values() if abs(x) > 0.995 * most)  # alike in two digits
     parts = (f"{name} {x / largest:+.2g}" for name, x in direction.items())
     return f"cannot be told apart: {', '.join(parts)}"

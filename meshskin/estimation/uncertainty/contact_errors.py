@@ -17,7 +17,7 @@ import numpy as np
 from ...core import se3
 from ...core.arrays import Array, means_by_group
 from ..data import delay
-from ..data.registration import CELL, MIN_SCATTER
+from ..data.registration import CELL, MIN_SCATTER, slopes
 from ..trilateration.displacements import surface_motion
 from . import swapped_axes
 from .tilts import tilts
@@ -74,8 +74,10 @@ def systematic_covariance(
         moves.append(np.broadcast_to(jump, middles.shape))
     if data.belief.surface_sigma > 0.0:
         moves.append(data.belief.surface_sigma * _growth(data, middles))
-    if data.parameters.motion is not None:
+    if (moving := data.parameters.motion) is not None:
         moves.append(tilts(data, hit.point, hit.distance))
+        if moving.held.size:  # of a body offset (registration.py)
+            moves += list(np.moveaxis(slopes(middles, moving.mean) @ moving.held, 2, 0))
     for moved in moves:
         sideways += moved[:, :, None] * moved[:, None, :]
     tangential = np.swapaxes(tangents, 1, 2) @ sideways @ tangents

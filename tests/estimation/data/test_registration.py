@@ -5,7 +5,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.core import se3
-from meshskin.estimation.data.registration import registered
+from meshskin.estimation.data.registration import registered, slopes
 
 SHIFT, TURN = np.array([1e-3, -2e-3, 2e-3]), np.array([0.01, 0.02, -0.01])
 
@@ -27,17 +27,32 @@ def test_the_offset_is_found_where_contacts_surround_the_body(scene):
     np.testing.assert_allclose(moved, at, atol=2e-5)
     np.testing.assert_allclose(found.contact_motion.mean, [*SHIFT, *TURN], atol=2e-4)
     assert found.unknown == ("modulus",)
-    root = found.contact_motion.root
-    assert np.sqrt(np.diag(root @ root.T))[:3].max() < 2e-5
+    motion = found.contact_motion
+    assert motion.root.shape == (6, 6)
+    assert np.sqrt(np.diag(motion.covariance(np.eye(6))))[:3].max() < 2e-5
+    centres = moved + 0.01 * scene.body.closest(moved).normal
+    np.testing.assert_allclose(motion.slopes, slopes(centres, motion.mean), atol=1e-9)
 
 
-def test_what_slides_along_the_body_keeps_its_prior():
+def test_slopes_are_those_of_the_moved_points():
+    at, offset, step = np.random.default_rng(0).normal(size=(5, 3)), np.array([*SHIFT, *TURN]), 1e-6
+
+    def moved(offset):
+        return at @ se3.exp_so3(offset[3:]).T + offset[:3]
+
+    for k, change in enumerate(step * np.eye(6)):
+        numeric = (moved(offset + change) - moved(offset - change)) / (2 * step)
+        np.testing.assert_allclose(slopes(moved(offset), offset)[:, :, k], numeric, atol=1e-9)
+
+
+def test_what_slides_along_the_body_is_held_at_its_prior():
     belief = ms.Scene.load("sphere_noisy").belief(unknown=("body_offset",))
     at = points(ms.Scene.load("sphere_noisy"))
     found, moved = registered(belief, at + np.array([0.0, 0.0, 1e-3]))
-    np.testing.assert_allclose(found.contact_motion.mean[:3], [0.0, 0.0, -1e-3], atol=1e-5)
-    root = found.contact_motion.root
-    np.testing.assert_allclose(np.diag(root @ root.T)[3:], 0.05**2, rtol=0.01)
+    motion = found.contact_motion
+    np.testing.assert_allclose(motion.mean[:3], [0.0, 0.0, -1e-3], atol=1e-5)
+    assert motion.size == 3
+    np.testing.assert_allclose(np.diag(motion.held @ motion.held.T)[3:], 0.05**2, rtol=0.01)
     assert np.abs(belief.body.closest(moved).distance).max() < 1e-5
 
 
@@ -71,6 +86,12 @@ def test_a_log_that_is_off_calibrates_where_it_is(noisy):
     found = ms.calibrate(wrong, belief)
     for axis, value in zip("xyz", SHIFT, strict=True):
         stated = found.unknowns[f"body_offset {axis}"]
-        assert abs(stated[0] + value) < max(4 * stated[1], 0.05e-3)
+        assert abs(stated[0] + value) < 0.01e-3
+    assert found.observed[:, :2].all()
     error = np.linalg.norm(found.positions - noisy.skin.positions, axis=1)
-    assert np.nanmedian(error / found.position_sigma) < 3
+    assert np.median(error) < 0.1e-3  # in the orientation of the log
+    assert found.undetermined == tuple(
+        f"body_offset rotation {axis} is not determined" for axis in "xyz"
+    )
+    turned = 0.1 * 0.05  # m, along each of two tangents, by the prior of the ball's rotation
+    assert np.median(found.position_sigma) == pytest.approx(2**0.5 * turned, rel=0.05)
