@@ -158,8 +158,8 @@ class PoseGraph(Value):
         e = (R_i^T (t_j - t_i) - dt, Log(dR^T R_i^T R_j)); or "chordal", sum of
         kappa |R_j - R_i dR|_F^2 + tau |t_j - t_i - R_i dt|^2, which has published optima.
         start: "chordal" (relaxation), "tree" (spanning tree), "origin" (every pose at its anchor)
-        or poses (n, 4, 4). From "origin" the chordal objective is minimized first, because Log has
-        no basin of convergence there.
+        or poses (n, 4, 4), of which each component is moved as a whole to its anchor. From "origin"
+        the chordal objective is minimized first, because Log has no basin of convergence there.
         robust: "gnc", "huber" or "cauchy" reduce the weight of outlying displacements.
         keep_iterates: keep the poses after each iteration.
         certify: where the result of another start is not certified to be optimal, solve again from

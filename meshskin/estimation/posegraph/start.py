@@ -24,14 +24,21 @@ poses that no displacement determines solvable, and moves the others by no more 
 
 
 def initial_poses(graph: PoseGraph, kind: str | ArrayLike) -> Array:
-    """Poses (n, 4, 4) by the name of a start, or those given; anchors keep their poses."""
-    if isinstance(kind, str):
-        if kind not in STARTS:
-            raise UnknownNameError("start", kind, STARTS)
+    """Poses (n, 4, 4) by the name of a start, or those given; anchors keep their poses.
+
+    Each component of given poses is moved as a whole, so that its anchor is in its place.
+    """
+    anchors = graph.poses[graph.anchors]
+    if not isinstance(kind, str):
+        poses = transforms("start poses", kind, len(graph.poses))
+        moves = anchors @ se3.inverse(poses[graph.anchors])
+        poses = moves[graph.components] @ poses
+    elif kind in STARTS:
         poses = STARTS[kind](graph)
-        poses[graph.anchors] = graph.poses[graph.anchors]  # exactly
-        return poses
-    return transforms("start poses", kind, len(graph.poses))
+    else:
+        raise UnknownNameError("start", kind, STARTS)
+    poses[graph.anchors] = anchors  # exactly
+    return poses
 
 
 def chordal(graph: PoseGraph) -> Array:

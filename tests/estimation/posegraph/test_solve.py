@@ -164,6 +164,16 @@ def test_components_are_anchored_one_by_one(skin_graph):
     assert np.allclose(both.solve(start="tree").poses, solution.poses, atol=1e-6)
 
 
+def test_given_poses_elsewhere_start_at_the_anchor(skin_graph):
+    graph, _ = skin_graph(30, seed=1)
+    moved = se3.transform(se3.exp_so3(np.array([0.3, -2.0, 1.0])), np.array([0.1, 5.0, -1.0]))
+    usual = graph.solve()
+    solution = graph.solve(start=moved @ usual.poses)
+    assert np.array_equal(solution.poses[0], graph.poses[0])
+    assert np.allclose(solution.poses, usual.poses, atol=1e-6)
+    assert solution.iterations <= 1
+
+
 def test_edges_both_ways_and_twice(skin_graph):
     graph, _ = skin_graph(30, seed=4)
     i, j = graph.edges.T
