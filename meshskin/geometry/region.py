@@ -15,6 +15,7 @@ from ..core.config import quantity
 from ..core.errors import SkinError
 from ..core.value import Value
 from .body import Body
+from .geodesics import within
 from .mesh.triangles import subdivision_centroids
 from .surface.closest_point import Closest
 
@@ -82,7 +83,7 @@ class Disc:
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points within the radius."""
-        return arc_length(self.centre(body), at) <= self.radius
+        return within(body, self.centre(body), at, self.radius)
 
     def centre(self, body: Body) -> Closest:
         """The surface point closest to `point`."""
@@ -206,7 +207,7 @@ class Around:
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points of the region within the radius."""
-        found = np.array(arc_length(self.middle, at) <= self.radius)
+        found = within(body, self.middle, at, self.radius)
         found[found] = self.region.contains(body, at.take(found))
         return found
 
@@ -283,18 +284,6 @@ def face_points(body: Body, faces: NDArray[np.intp], cuts: int) -> Closest:
     """The smooth surface at the centroids of the cuts^2 equal parts of each face (n,)."""
     uv = subdivision_centroids(cuts)[:, 1:]
     return body.surface.at(np.repeat(faces, len(uv)), np.tile(uv, (len(faces), 1)))
-
-
-def arc_length(start: Closest, end: Closest) -> Array:
-    """Arc lengths (n,) in m from one surface point to n others, as of circular arcs.
-
-    A chord c between normals that differ by theta spans an arc c (theta / 2) / sin(theta / 2):
-    exact on a sphere and a plane.
-    """
-    chord = np.linalg.norm(end.point - start.point, axis=1)
-    sine = np.linalg.norm(np.cross(start.normal, end.normal), axis=1)
-    half = 0.5 * np.arctan2(sine, np.sum(start.normal * end.normal, axis=1))
-    return np.asarray(chord / np.sinc(half / np.pi))
 
 
 def _unit(vector: ArrayLike) -> Array:

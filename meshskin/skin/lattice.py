@@ -27,7 +27,7 @@ from ..core.progress import Stage
 from ..core.se3 import orthonormal_basis
 from ..geometry import region as regions
 from ..geometry.body import Body
-from ..geometry.geodesics import march, onto, rotate_about
+from ..geometry.geodesics import arc_length, march, onto, rotate_about
 from ..geometry.surface.closest_point import Closest
 
 ROW = np.sqrt(3.0) / 2.0
@@ -172,7 +172,7 @@ def grow(
         fresh = _propose(body, front, full, spacing, MERGE * spacing)
         fresh = fresh.take(region.contains(body, fresh.at))
         least = (ring - 0.01) * ROW * spacing  # a ring of hexagons is at least so far out
-        front = replace(fresh, arc_length=np.maximum(regions.arc_length(first.at, fresh.at), least))
+        front = replace(fresh, arc_length=np.maximum(arc_length(first.at, fresh.at), least))
         sites = sites.joined(front)
         if count is not None and len(sites) >= count:
             kth = np.partition(sites.arc_length, count - 1)[count - 1]

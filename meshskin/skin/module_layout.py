@@ -25,7 +25,7 @@ from ..core.errors import SkinError
 from ..core.provenance import random_stream
 from ..geometry import region as regions
 from ..geometry.body import Body
-from ..geometry.geodesics import march, onto, rotate_about
+from ..geometry.geodesics import arc_length, march, onto, rotate_about
 from . import lattice, module_pose, slots
 from .module_pose import CIRCUMRADIUS
 
@@ -71,7 +71,7 @@ def module_poses(
             limit=f"{len(poses)} fit",
             remedy="give fewer modules, or a region that is larger or less curved",
         )
-    distance = regions.arc_length(region.centre(body), body.closest(poses[:, :3, 3]))
+    distance = arc_length(region.centre(body), body.closest(poses[:, :3, 3]))
     return np.asarray(poses[np.argsort(distance, kind="stable")[:count]])
 
 

@@ -12,6 +12,7 @@ from ..core.progress import Progress, Stage
 from ..core.provenance import random_stream
 from ..geometry import region as regions
 from ..geometry.body import Body
+from ..geometry.geodesics import arc_length
 from . import lattice
 from .lattice import Lattice
 
@@ -159,5 +160,5 @@ def _refinements(area: float, spacing: float) -> int:
 
 def _from_centre(body: Body, region: regions.Region, found: Lattice, spacing: float) -> Lattice:
     """The sites with arc lengths from the region's centre."""
-    arc_length = regions.arc_length(region.centre(body), found.at)
-    return replace(found, arc_length=np.maximum(arc_length, found.arc_length - spacing))
+    away = arc_length(region.centre(body), found.at)
+    return replace(found, arc_length=np.maximum(away, found.arc_length - spacing))
