@@ -235,7 +235,7 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
         """Read what `save` wrote at `path`. Raises CalibrationError for other files."""
-        return cls(**calibration_file.read(path))
+        return calibration_file.read(path, cls)
 
     def csv(self) -> str:
         """A table in CSV: one row a taxel, lengths in mm, empty where not determined."""

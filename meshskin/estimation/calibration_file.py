@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,8 +59,9 @@ def write(found: Calibration, path: str | Path) -> None:
     write_text(_part(path, "csv"), csv(found))
 
 
-def read(path: str | Path) -> dict[str, Any]:
-    """The fields of the calibration that `write` wrote. Raises CalibrationError for other files."""
+def read(path: str | Path, kind: Callable[..., Calibration]) -> Calibration:
+    """The calibration, made by `kind` of its fields, that `write` wrote. Raises CalibrationError for
+    other files, and for those of versions with other fields."""
     path = check_path("a calibration file", path, error=CalibrationError)
     file = _part(path, "parquet")
     if not file.exists():
@@ -74,7 +76,18 @@ def read(path: str | Path) -> dict[str, Any]:
     missing = set(_COLUMNS.values()) - set(table.column_names)
     if _KEY not in metadata or missing:
         raise CalibrationError(f"{file} holds no calibration", remedy="check the path")
-    header = json.loads(metadata[_KEY])
+    try:
+        return kind(**_values(table, json.loads(metadata[_KEY])))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise CalibrationError(
+            f"{file} is a calibration of another version of meshskin, or damaged",
+            value=f"{type(error).__name__}: {error}",
+            remedy="calibrate again",
+        ) from error
+
+
+def _values(table: pa.Table, header: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a calibration in the columns and the header of a file."""
     n, steps = table.num_rows, header.pop("steps")
     shapes = {"poses": (n, 4, 4), "covariances": (n, 6, 6), "observed": (n, 6)}
     values: dict[str, Any] = {

@@ -16,6 +16,7 @@ from ..core.arrays import Array
 from ..core.errors import CalibrationError
 from ..core.provenance import random_stream
 from ..recording.recording import Recording
+from .data.gather import taxel_rows
 from .posegraph import PoseGraph
 
 SIGMA, ROTATION_SIGMA = 1e-3, 0.02
@@ -42,11 +43,13 @@ class Demonstration:
 
 
 def coactive_pairs(recording: Recording, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Pairs (m, 2) of rows of `ids`, i < j, that were active in at least MIN_SHARED contacts."""
+    """Pairs (m, 2) of rows of `ids`, i < j, that were active in at least MIN_SHARED contacts.
+
+    Raises CalibrationError for readings of other taxels.
+    """
     from scipy.sparse import coo_array
 
-    order = np.argsort(ids)
-    column = order[np.searchsorted(ids, recording.reading_taxel, sorter=order)]
+    column = taxel_rows(recording.reading_taxel, ids)
     shape = (len(recording.time), len(ids))
     active = coo_array((np.ones(len(column)), (recording.reading_contact, column)), shape=shape)
     shared = (active.T @ active).tocoo()

@@ -4,10 +4,10 @@ Tables: body, skin, material, indenter, arm, law, exploration, loop, readout, an
 With `effects = "auto"`, or a `budget_mm`, an error budget decides which effects are on, among the
 effects and the `candidates` (a list, too; by default all registered effects).
 `extends = "sphere"` starts from another scene; a body of another kind replaces its body.
-Relative paths start from the file's folder. The part of a body that a skin covers is
-`region = {patch = "palm"}` in [skin], by a name in the mesh file (`meshskin check` lists them), or
-{direction = [0, 0, -1], angle_deg = 40}, {point_mm = [0, 0, 90], radius_mm = 30},
-{normal = [0, 0, 1], offset_mm = 20}, {faces = [0, 1, 2]}.
+Relative paths start from the folder of the file that they are written in.
+The part of a body that a skin covers is `region = {patch = "palm"}` in [skin], by a name in the
+mesh file (`meshskin check` lists them), or {direction = [0, 0, -1], angle_deg = 40},
+{point_mm = [0, 0, 90], radius_mm = 30}, {normal = [0, 0, 1], offset_mm = 20}, {faces = [0, 1, 2]}.
 In the world z is up. [indenter] direction = [1, 0, 0] points from its support to its tip; [arm]
 base_m is the position of the arm's root link, base_angles_deg its rotation vector.
 """
@@ -42,6 +42,8 @@ _TABLES = (
     *_PLAIN, "body", "skin", "arm", "effects", "candidates", "budget_mm", "budget_m", "budget_um",
     "extends", *_TEXT,
 )  # fmt: skip
+_PATHS = {"body": ("mesh", "folders"), "skin": ("file",), "arm": ("urdf", "folders")}
+"""Keys of tables whose values are files or folders."""
 AUTO = "auto"
 """Value of `effects` with which an error budget decides."""
 BUDGET = 0.2e-3
@@ -50,19 +52,46 @@ BUDGET = 0.2e-3
 
 def read_tables(name: str | Path) -> tuple[dict[str, Any], Path]:
     """The merged TOML tables of a scene, and the folder where its relative paths start."""
-    path = shipped_scenes.find_scene(name)
+    path = file = shipped_scenes.find_scene(name)
     data = read_toml(path)
     seen = {path.resolve()}
     while "extends" in data:
-        parent_name = data.pop("extends")
-        beside = path.parent / f"{parent_name}.toml"
-        parent = beside if beside.is_file() else shipped_scenes.find_scene(parent_name)
+        parent = _extended(file, data.pop("extends"))
         if parent.resolve() in seen:
-            raise ConfigError(f"{path.name} extends itself through {parent.name}")
+            raise ConfigError(f"{file.name} extends itself through {parent.name}")
         seen.add(parent.resolve())
-        data = merge(_without_replaced(read_toml(parent), data), data)
+        tables, file = read_toml(parent), parent
+        if parent.parent.resolve() != path.parent.resolve():
+            tables = _located(tables, parent.parent.resolve())
+        data = merge(_without_replaced(tables, data), data)
     data.setdefault("name", path.stem)
     return data, path.parent
+
+
+def _extended(file: Path, name: Any) -> Path:
+    """The scene that a scene file extends: a file beside it, by name or path, or a shipped one."""
+    for beside in (file.parent / f"{name}.toml", file.parent / f"{name}"):
+        if beside.suffix == ".toml" and beside.is_file():
+            return beside
+    return shipped_scenes.find_scene(name)
+
+
+def _located(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The tables of a scene with its relative paths from `folder` on; those that are not there are
+    names of shipped files."""
+
+    def located(value: Any) -> Any:
+        if isinstance(value, list):
+            return [located(item) for item in value]
+        there = isinstance(value, str) and (folder / value).exists()
+        return str(folder / value) if there else value
+
+    found = dict(tables)
+    for table, keys in _PATHS.items():
+        if isinstance(found.get(table), Mapping):
+            paths = {key: located(found[table][key]) for key in keys if key in found[table]}
+            found[table] = {**found[table], **paths}
+    return found
 
 
 def _without_replaced(parent: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

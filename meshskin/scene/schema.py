@@ -135,12 +135,12 @@ class SkinTable:
                 value=" and ".join(kinds) or "none",
                 limit=f"one of {', '.join(_REGIONS)}",
             )
+        region: Region = from_table(_REGIONS[kinds[0]], table, where)
         for key in ("direction", "normal"):
-            if key in table and (len(table[key]) != 3 or not np.any(table[key])):
+            if not np.any(getattr(region, key, 1.0)):
                 raise ConfigError(
                     f"{where}.{key} must be a nonzero vector of 3 numbers", value=table[key]
                 )
-        region: Region = from_table(_REGIONS[kinds[0]], table, where)
         return region
 
     def make(self, body: Body, folder: Path) -> Skin:

@@ -1,5 +1,6 @@
 """`calibrate` with every method, and the calibration as a file."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -85,6 +86,22 @@ def test_files_that_hold_no_calibration(tmp_path):
     pq.write_table(pa.table({"a": [1]}), tmp_path / "other.parquet")
     with pytest.raises(CalibrationError, match="holds no calibration"):
         Calibration.load(tmp_path / "other")
+
+
+@pytest.mark.parametrize(
+    "change", [{"method": None}, {"verdict": {"level": "PASS"}}, {"fit": {"chi": 1.0}}, {"new": 1}]
+)
+def test_a_file_of_another_version_is_refused(noisy, tmp_path, change):
+    calibrate(*noisy, method="centroid").save(tmp_path / "c")
+    table = pq.read_table(tmp_path / "c.parquet")
+    (key,) = (k for k in table.schema.metadata if b"meshskin" in k)
+    header = json.loads(table.schema.metadata[key]) | change
+    if "method" in change:
+        del header["method"]
+    table = table.replace_schema_metadata({key: json.dumps(header).encode()})
+    pq.write_table(table, tmp_path / "c.parquet")
+    with pytest.raises(CalibrationError, match=r"another version of meshskin.*; calibrate again"):
+        Calibration.load(tmp_path / "c")
 
 
 @pytest.mark.parametrize("method", METHODS)

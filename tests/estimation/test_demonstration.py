@@ -17,3 +17,5 @@ def test_the_demonstration_needs_half_of_the_taxels(noisy):
     with pytest.raises(CalibrationError, match=r"fewer than half .*, got 2 of 5"):
         demonstrate(skin.poses, skin.ids, recording)
     assert len(demonstrate(skin.poses[:4], skin.ids[:4], recording).rows) == 2
+    with pytest.raises(CalibrationError, match="taxels that the belief does not know, got ids 1,"):
+        demonstrate(skin.poses[:1], skin.ids[:1], recording)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 import meshskin as ms
 from meshskin.core.errors import ConfigError, UnknownNameError
@@ -60,6 +61,24 @@ def test_a_body_of_another_shape_replaces_that_of_the_parent(tmp_path):
     assert scene.name == "tube"
     assert np.ptp(scene.body.mesh.bounds[:, 2]) == pytest.approx(0.22)
     assert scene.axis[0] > 0.9
+
+
+def test_relative_paths_start_from_the_file_they_are_written_in(tmp_path):
+    base, child = tmp_path / "base", tmp_path / "made" / "child"
+    for folder in (base / "parts", child):
+        folder.mkdir(parents=True)
+    trimesh.creation.icosphere(subdivisions=3, radius=50.0).export(base / "parts" / "ball.stl")
+    (base / "ball.toml").write_text(
+        '[body]\nmesh = "parts/ball.stl"\nunits = "mm"\n[skin]\ncount = 10\nspacing_mm = 6\n'
+        '[arm]\nurdf = "puma560.urdf"\n'
+    )
+    (tmp_path / "made" / "softer.toml").write_text(
+        'extends = "../base/ball.toml"\n[material]\nyoung_kpa = 300\n'
+    )
+    (child / "own.toml").write_text('extends = "../softer"\n[material]\npoisson = 0.4\n')
+    scene = ms.Scene.load(child / "own.toml")
+    assert np.ptp(scene.body.mesh.bounds[:, 2]) == pytest.approx(0.1, rel=0.01)
+    assert (scene.material.young, scene.material.poisson) == (300e3, 0.4)
 
 
 def test_a_delay_must_be_a_whole_number_of_steps(sphere):
