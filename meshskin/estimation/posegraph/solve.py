@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...core.arguments import check_integer
 from ...core.arrays import Array
 from ...core.blas import single_threaded
 from ...core.errors import GraphError, UnknownNameError
@@ -159,8 +160,8 @@ def solve(
         raise UnknownNameError("objective", objective, RESIDUALS)
     if robust is not None and robust not in ROBUST:
         raise UnknownNameError("robust cost", robust, ROBUST)
-    if limit is not None and limit < 1:
-        raise GraphError("limit of iterations is too small", value=limit, limit="at least 1")
+    if limit is not None:
+        check_integer("limit of iterations", limit, least=1, error=GraphError)
     stage = None if progress is None else Stage(progress, "solve", USUAL_ITERATIONS)
     solution = _solve(graph, objective, start, robust, keep_iterates, limit, stage)
     chordal = isinstance(start, str) and start == "chordal"
