@@ -285,10 +285,10 @@ def _account(
     choice: Choice | None,
 ) -> dict[str, Any]:
     """The metrics of what was decided, predicted and left out, and of the inputs."""
-    more: dict[str, Any] = {"worse_than_centroid": worse_than_centroid(metrics)}
+    each = {"joint": metrics["position_error_mm"], **{name: metrics[name] for name in METHODS}}
+    more: dict[str, Any] = {"worse_than_centroid": worse_than_centroid(each)}
     if budget is not None:
-        mean = metrics["position_error_mm"]["mean"]
-        more["budget"] = budget.metrics() | {"above": budget.explain(1e-3 * mean)}
+        more["budget"] = budget.metrics() | {"above": budget.explain(1e-3 * each["joint"]["mean"])}
     more["left_out"] = list(comparison.left_out)
     if choice is not None:
         more["promise"] = choice.record

@@ -23,6 +23,11 @@ def functions(*values: Any) -> Any:
     return casadi
 
 
+def positive_part(value: Any) -> Any:
+    """`value` where it is positive, else 0; NaN of arrays stays, which fmax would hide."""
+    return functions(value).fmax(value, 0.0) if is_casadi(value) else np.maximum(value, 0.0)
+
+
 def chebyshev_nodes(count: int) -> Array:
     """Chebyshev points (count,) of the second kind in [-1, 1], ascending, including both ends."""
     return np.asarray(-np.cos(np.pi * np.arange(count) / (count - 1)))

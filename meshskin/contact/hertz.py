@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .array_backend import functions, is_casadi
+from .array_backend import functions, is_casadi, positive_part
 from .patch import Patches
 from .problem import MIN_RELATIVE_CURVATURE, principal_curvatures
 
@@ -49,9 +49,9 @@ def depth(contact_radius: Any, radius: Any) -> Any:
 def force(depth: Any, radius: Any, modulus: Any) -> Any:
     """Force, N, from the approach delta, m; zero, with finite derivatives, where delta <= 0."""
     f = functions(depth, radius, modulus)
-    positive = f.fmax(depth, 0.0)
     # sqrt(fmax(delta, 0)) alone has an infinite derivative at 0
-    return 4 / 3 * modulus * f.sqrt(radius) * positive * f.sqrt(f.fmax(depth, 1e-12))
+    root = f.sqrt(f.fmax(depth, 1e-12))
+    return 4 / 3 * modulus * f.sqrt(radius) * positive_part(depth) * root
 
 
 def slope(depth: Any, radius: Any, modulus: Any) -> Any:

@@ -34,6 +34,7 @@ from .array_backend import (
     chebyshev_nodes,
     chebyshev_values,
     functions,
+    positive_part,
 )
 from .patch import Patches
 from .problem import FIELD_REMEDY
@@ -120,7 +121,7 @@ class BondedLayer:
         Other arguments as in `patches`. Beyond the table the force grows like Hertz's.
         """
         f = functions(depth, curvature, indenter_radius, modulus)
-        positive = f.fmax(depth, 0.0)
+        positive = positive_part(depth)
         unit = elliptic.patches(1.0, curvature, indenter_radius, modulus)
         # on the half-space a = a_1 (d/d_1)^(1/2), the square root finite at 0 by its lower bound
         scale = _mean_radius(unit) / self.thickness

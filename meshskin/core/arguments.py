@@ -67,8 +67,12 @@ def check_real(
     Raises `error` for any other value.
     """
     unit = f" {unit}" if unit else ""
-    number = isinstance(value, numbers.Real | np.number) and not isinstance(value, bool)
-    if not number or not math.isfinite(value):
+    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    try:
+        real = float(value) if number else math.nan
+    except OverflowError:  # of an integer
+        real = math.nan
+    if not math.isfinite(real):
         raise error(f"{what} must be a finite number", value=repr_short(value))
     for bound, inside, words in (
         (above, above is None or value > above, "above"),

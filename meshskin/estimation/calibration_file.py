@@ -60,8 +60,10 @@ def write(found: Calibration, path: str | Path) -> None:
 
 
 def read(path: str | Path, kind: Callable[..., Calibration]) -> Calibration:
-    """The calibration, made by `kind` of its fields, that `write` wrote. Raises CalibrationError for
-    other files, and for those of versions with other fields."""
+    """The calibration, made by `kind` of its fields, that `write` wrote.
+
+    Raises CalibrationError for other files, and for those of versions with other fields.
+    """
     path = check_path("a calibration file", path, error=CalibrationError)
     file = _part(path, "parquet")
     if not file.exists():

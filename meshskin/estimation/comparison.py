@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +17,8 @@ from .calibrate import Estimation
 from .calibration import Calibration
 from .uncertainty import metrics as truth
 
+BASELINE = "centroid"
+"""The method that every other one is compared with."""
 METHODS = (
     "trilateration",
     "three_circles",
@@ -24,7 +26,7 @@ METHODS = (
     "posegraph",
     "posegraph_isotropic",
     "posegraph_paper",
-    "centroid",
+    BASELINE,
 )
 """Methods that are compared with the joint estimate."""
 
@@ -53,12 +55,11 @@ class Comparison:
         return errors
 
 
-def worse_than_centroid(metrics: dict[str, Any]) -> list[str]:
-    """Methods whose mean error is above that of the baseline, the centroid of contact points."""
-    baseline = metrics["centroid"]["mean"]
-    errors = {"joint": metrics["position_error_mm"]["mean"]}
-    errors |= {method: metrics[method]["mean"] for method in METHODS}
-    known = {name: error for name, error in errors.items() if error is not None}
+def worse_than_centroid(errors: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Methods whose mean error, of summaries by method, is above that of the baseline, the centroid
+    of contact points; none where that is not known."""
+    known = {name: one["mean"] for name, one in errors.items() if one["mean"] is not None}
+    baseline = known.get(BASELINE)
     return [name for name, error in known.items() if baseline is not None and error > baseline]
 
 

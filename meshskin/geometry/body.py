@@ -138,10 +138,13 @@ class Body(Value, Card):
         The distance is that along the ray in m. A ray that misses the flat mesh or the smooth
         surface has face -1 and NaN in all other entries. The face is found on the flat mesh
         (embree, single precision), the hit on its patch. Raises MeshError where a ray is not finite
-        or has no direction.
+        or has no direction, and where origins and directions differ in number.
         """
         o = check_vectors("origins of rays", origins, error=MeshError)
         d = check_vectors("directions of rays", directions, error=MeshError).copy()
+        if len(o) != len(d):
+            counts = f"{len(o)} origins, {len(d)} directions"
+            raise MeshError("a ray needs an origin and a direction", value=counts)
         length = np.linalg.norm(d, axis=1)
         if not (np.isfinite(o).all() and np.isfinite(d).all() and np.all(length > 0)):
             raise MeshError("rays must be finite, and directions not zero")

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.arrays import Array
 from ..estimation.calibration import Calibration
+from ..estimation.comparison import worse_than_centroid
 from ..estimation.demonstration import Demonstration
 from ..estimation.uncertainty.metrics import position_errors, summary_mm
 from ..geometry.body import Body
@@ -35,8 +36,6 @@ METHOD_NAMES = {
     "none": "not calibrated",
 }
 """Names of methods for people; others keep their own, with spaces for underscores."""
-BASELINE = "centroid"
-"""The method that every other one is compared with."""
 METHOD_DESCRIPTIONS = {
     "joint": "all readings together, with the taxels on the surface",
     "trilateration": "least squares over all circles that the readings of a taxel give",
@@ -223,8 +222,7 @@ class ReportData:
     @property
     def worse_than_centroid(self) -> list[str]:
         """Methods whose mean error is above the baseline's; none where it is not known."""
-        mean = {method: self.error_summary(method)["mean"] for method in self.errors}
-        return [method for method in mean if mean[method] > mean.get(BASELINE, np.inf)]
+        return worse_than_centroid({name: self.error_summary(name) for name in self.errors})
 
     @property
     def display_positions(self) -> Array:

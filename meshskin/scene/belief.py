@@ -118,11 +118,12 @@ class Belief(Value, NamedFields):
         if self.headings is not None:
             headings = check_array("headings of a belief", self.headings)
             gram = headings @ np.swapaxes(headings, -1, -2) if headings.ndim == 3 else np.zeros(1)
-            if headings.shape[1:] != (3, 3) or not np.allclose(gram, np.eye(3), atol=1e-6):
+            turns = headings.shape[1:] == (3, 3) and np.allclose(gram, np.eye(3), atol=1e-6)
+            if not turns or np.any(np.linalg.det(headings) < 0):
                 raise ConfigError(
                     "headings of a belief must be rotation matrices",
                     value=f"shape {headings.shape}",
-                    limit="(m, 3, 3), orthonormal within 1e-6",
+                    limit="(m, 3, 3), orthonormal within 1e-6, without reflections",
                 )
 
     def _checked_groups(self) -> tuple[np.ndarray, ...]:

@@ -41,24 +41,30 @@ class ContactMotion:
     """The u (k,) at which the recording's contacts were computed; by default zero."""
 
     def __post_init__(self) -> None:
-        slopes = check_array("slopes of a contact motion", self.slopes)
-        sigma = check_array("sigma of a contact motion", self.sigma)
-        count = len(self.labels)
+        names, count = ("slopes", "sigma", "mean", "root", "held", "about"), len(self.labels)
+        given = {n: check_array(f"{n} of a contact motion", getattr(self, n)) for n in names}
+        slopes, sigma = given["slopes"], given["sigma"]
         if slopes.shape[1:] != (3, count) or sigma.shape != (count,) or not np.all(sigma > 0):
             raise ConfigError(
                 "a contact motion needs slopes (m, 3, K) and positive sigma (K,) of its K unknowns",
                 value=f"shapes {slopes.shape} and {sigma.shape}",
                 limit=f"K = {count}",
             )
-        if not np.isfinite(slopes).all():
-            raise ConfigError("slopes of a contact motion must be finite")
-        mean = self.mean if len(self.mean) else np.zeros(count)
-        root = self.root if len(self.root) else np.diag(sigma)
-        about = self.about if len(self.about) else np.zeros(root.shape[1])
-        held = self.held if len(self.held) else np.zeros((count, 0))
-        given = {"mean": mean, "root": root, "about": about, "held": held}
+        root = given["root"] if len(given["root"]) else np.diag(sigma)
+        defaults = {"mean": np.zeros(count), "root": np.diag(sigma), "held": np.zeros((count, 0))}
+        defaults["about"] = np.zeros(root.shape[-1:])
+        for name, default in defaults.items():
+            array = given[name] = given[name] if len(given[name]) else default
+            if array.shape[:1] != default.shape[:1] or array.ndim != default.ndim:
+                raise ConfigError(
+                    f"{name} of a contact motion must fit its unknowns",
+                    value=f"shape {array.shape}",
+                    limit=f"shape {default.shape}",
+                )
         for name, array in given.items():
-            object.__setattr__(self, name, np.asarray(array, dtype=float))
+            if not np.isfinite(array).all():
+                raise ConfigError(f"{name} of a contact motion must be finite")
+            object.__setattr__(self, name, array)
 
     @property
     def size(self) -> int:

@@ -24,6 +24,7 @@ from ..contact.material import Indentation, Material
 from ..contact.reading import ReadingModel
 from ..core.arguments import (
     NamedFields,
+    check_integer,
     check_name,
     check_real,
     check_type,
@@ -119,6 +120,7 @@ class Scene(Value, NamedFields, Card):
             )
         for name, kind in PARTS.items():
             check_type(kind, getattr(self, name), f"the {name} of a scene")
+        check_integer("number of a scene's taxels", len(self.skin), least=1)
         if self.indenter.carried_by is not None and self.loop.mode != "quasi_static":
             raise ConfigError(
                 f"an indenter carried by {self.indenter.carried_by} needs a body at rest",
@@ -133,16 +135,14 @@ class Scene(Value, NamedFields, Card):
                 limit="a finite (4, 4) with a rotation in it",
             )
         check_real("payload of a scene", self.payload, "kg", least=0.0)
-        if self.budget is not None:
-            check_real("budget of a scene", self.budget)
-            if self.budget < MIN_BUDGET:
-                small = "no setting resolves so small an error budget"
-                raise ConfigError(
-                    small if self.budget > 0 else "an error budget must be positive",
-                    value=f"{1e3 * self.budget:g} mm",
-                    limit=f"at least {1e3 * MIN_BUDGET:g} mm",
-                    remedy="for all effects, list them in the scene and give no budget",
-                )
+        if self.budget is not None and check_real("budget of a scene", self.budget) < MIN_BUDGET:
+            small = "no setting resolves so small an error budget"
+            raise ConfigError(
+                small if self.budget > 0 else "an error budget must be positive",
+                value=f"{1e3 * self.budget:g} mm",
+                limit=f"at least {1e3 * MIN_BUDGET:g} mm",
+                remedy="for all effects, list them in the scene and give no budget",
+            )
         check_type(Iterable, self.effects, "scene.effects")
         for effect in (*self.effects, *(self.candidates or ())):
             check_effect(effect)

@@ -58,6 +58,18 @@ def test_casadi_equals_numpy_with_finite_derivatives_at_zero_depth():
         assert np.isfinite(slope)
 
 
+@pytest.mark.parametrize(
+    ("model", "thickness"), [("hertz", None), ("elliptic", None), ("layered", 2e-3)]
+)
+def test_an_unknown_depth_has_no_force(model, thickness):
+    shape = {"curvature": (10.0, 10.0), "indenter_radius": 0.01, "effective_modulus": 0.26e6}
+    force = contact.ContactModel(model, 0.49, thickness).force(
+        depth=np.array([np.nan, -1e-3, 1e-3]), **shape
+    )
+    assert np.isnan(force[0])
+    assert force[1] == 0.0 < force[2]
+
+
 def test_relative_radius_needs_both_curvatures():
     with pytest.raises(ContactError, match=r"shape \(3,\)"):
         hertz.relative_radius(np.full(3, 10.0), 0.01)

@@ -77,6 +77,21 @@ CALLS = {
     "unknowns in a word": (lambda s: s.belief(unknown="gain"), r"write unknown=\(\"gain\",\)"),
     "a belief of a name": (lambda s: s.belief(body="x"), "body of a belief must be a Body"),
     "a contact of a name": (lambda s: s.belief(contact="herz"), "did you mean hertz"),
+    "a payload beyond floats": (lambda s: s.with_(payload=10**400), "a finite number, got 1000"),
+    "a complex payload": (lambda s: s.with_(payload=np.complex64(1)), "must be a finite number"),
+    "a skin of nothing": (
+        lambda s: s.with_(skin=ms.Skin(np.empty((0, 4, 4)), np.empty(0, dtype=int))),
+        "number of a scene's taxels .*got 0, limit: at least 1",
+    ),
+    "faces by halves": (lambda s: s.body.closest(np.ones((2, 3)), 0.5), "must be integers"),
+    "too many faces": (
+        lambda s: s.body.closest(np.ones((2, 3)), [0, 1, 2]),
+        r"one for each point, got shape \(3,\) of int64, limit: \(2,\)",
+    ),
+    "a ray without a direction": (
+        lambda s: s.body.project(np.ones((2, 3)), [[0.0, 0.0, 1.0]]),
+        "got 2 origins, 1 directions",
+    ),
     "no slide": (lambda s: ms.tune(s, distance=0), "distance .*got 0 m, limit: above 0 m"),
     "no world": (lambda s: ms.tune(s, over=()), r"got \(\), limit: one Scenario or more"),
     "a world of a word": (lambda s: ms.tune(s, over="soft"), "got 'soft', limit: one Scenario"),

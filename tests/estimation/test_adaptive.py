@@ -81,6 +81,27 @@ def test_a_dead_taxel_is_named(scene):
     assert found.calibration.position_sigma[~lost].max() <= 2 * TARGET
 
 
+def test_gaps_that_nothing_reaches_leave_their_taxels_unread(scene):
+    """The first pass touches a part of the skin; the arm reaches nothing of the rest."""
+    near = np.argsort(np.linalg.norm(scene.skin.positions - scene.skin.positions[0], axis=1))
+    first = scene.skin.positions[near[:6]]
+
+    def touch(scene, seed):
+        sample, calls = static_sampler(scene, seed), []
+
+        def once(points):
+            calls.append(points)
+            if len(calls) > 1:
+                raise ReachError("nothing is reached")
+            return sample(points)
+
+        return once
+
+    found = adapt(scene, TARGET, seed=3, points=first, touch=touch)
+    assert len(found.recording.time) == 6
+    assert NEVER_READ in found.unmet.values()
+
+
 def test_invalid_arguments(scene):
     with pytest.raises(ConfigError, match="target"):
         adapt(scene, 0.0)

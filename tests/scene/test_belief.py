@@ -41,6 +41,7 @@ def test_a_scene_without_noise_does_not_know_a_sigma(sphere):
         ({"priors": 3.0}, "priors of a belief must be a Mapping, got 3.0"),
         ({"headings": np.eye(4)}, r"must be rotation matrices, got shape \(4, 4\)"),
         ({"headings": 2.0 * np.eye(3)[None]}, "must be rotation matrices"),
+        ({"headings": np.diag([1.0, 1.0, -1.0])[None]}, "rotation matrices.* without reflections"),
         ({"unknown": "gain"}, r'must be a list of names, got \'gain\'; write unknown=\("gain",\)'),
     ],
 )

@@ -37,7 +37,8 @@ FAR = 2.1
 """As NEXT, of taxels of which some may crosstalk: two rings of a lattice, beyond which few contacts
 press both."""
 PAUSE = 1.5
-"""Interval between two contacts, in median ones, from which the taxels were released between."""
+"""Interval between two contacts, in median ones, from which skin and taxels were released
+between."""
 
 
 class Electronics:

@@ -19,9 +19,8 @@ from ...core.arrays import Array
 from ...core.codegen import compile_function
 from ...core.ipopt import BufferedFunction
 from ..data.measurements import Measurements
+from .electronics import PAUSE
 
-PAUSE = 1.5
-"""Interval between two contacts, in median ones, from which the skin was released between."""
 BLOCK = 500
 """Contacts of one call of a compiled path: some are filled up, and longer ones take memory."""
 TINY = 1e-300

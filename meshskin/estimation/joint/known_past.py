@@ -95,21 +95,18 @@ class History:
         gain: tuple[int, Array],
         first: int,
     ) -> Array:
-        """As Electronics.apply; the derivatives by its global parameters are left out."""
+        """As Electronics.apply; derivatives by gains and by its global parameters are left out."""
         if "creep" in self.columns:
             share, log_time, lift = s[self.columns["creep"]]
             earlier = self.crept * np.exp(-self.since / (TIME * np.exp(log_time)))
             kept = 1 - share * lacking(self.frame, log_time, lift)
             jacobian *= kept
-            jacobian[gain[0]] += gain[1] * share * earlier
             mu = kept * mu + share * earlier
         if "hysteresis" not in self.columns:
             return mu
-        (share, log_width), (row, slope) = s[self.columns["hysteresis"]], gain
+        share, log_width = s[self.columns["hysteresis"]]
         width = self.peak * WIDTH * np.exp(log_width) * scale
         state = np.where(self.released, np.minimum(self.state, width), self.state)
         lagging = np.clip(state, mu - width, mu + width)
-        side = np.sign(lagging - mu) * (lagging != state)
         jacobian *= np.where(lagging == state, 1 - share, 1.0)
-        jacobian[row] += share * slope * side * width
         return np.asarray(mu + share * (lagging - mu))

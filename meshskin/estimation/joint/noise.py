@@ -12,7 +12,9 @@ Sroka, Jennen-Steinmetz, Biometrika 73 (1986).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -117,16 +119,30 @@ def estimate_noise(estimator: JointEstimator, reduced: SchurComplement) -> Noise
 def _scatter(
     estimator: JointEstimator, reduced: SchurComplement, r: Array, used: np.ndarray
 ) -> Noise:
-    """The noise by the residuals r (k,) of the readings `used` (k,) bool.
+    """The noise by the residuals r (k,) of the readings `used` (k,) bool."""
+    variances = partial(estimator.problem.difference_variances, estimator.state, reduced)
+    readings, points = estimator.likelihood.readings, estimator.data.points
+    return neighbour_scatter(readings, points, r, np.flatnonzero(used), variances)
 
-    Of neighbours in space and neighbours in time the smaller scatter counts.
+
+def neighbour_scatter(
+    readings: Readings,
+    points: Array,
+    r: Array,
+    rows: np.ndarray,
+    variances: Callable[[np.ndarray, np.ndarray], Array],
+) -> Noise:
+    """The noise by the differences of the residuals r (k,) of the readings `rows` of a taxel in
+    neighbouring contacts; of neighbours in space and in time the smaller scatter counts.
+
+    points (m, 3), m: of the contacts; variances: those (p,) of the differences of two rows (p,) of
+    residuals, by unit noise.
     """
-    readings, found = estimator.likelihood.readings, []
-    rows = np.flatnonzero(used)
-    for a, b in neighbours(readings, estimator.data.points, rows):
+    found = []
+    for a, b in neighbours(readings, points, rows):
         if len(a):
-            weight = estimator.problem.difference_variances(estimator.state, reduced, a, b)
-            found.append(Noise(float(np.sqrt(np.sum((r[a] - r[b]) ** 2) / weight.sum())), len(a)))
+            square = np.sum((r[a] - r[b]) ** 2) / variances(a, b).sum()
+            found.append(Noise(float(np.sqrt(square)), len(a)))
     enough = [noise for noise in found if 2 * noise.pairs >= max(n.pairs for n in found)]
     return min(enough, key=lambda noise: noise.scale) if enough else Noise(1.0, 0)
 

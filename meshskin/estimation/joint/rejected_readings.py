@@ -24,7 +24,8 @@ CHANCE = 0.01
 """Probability, by the fraction of outlying readings of all taxels, of as many as a taxel has, below
 which they are no accidents: of skins whose accidents are independent, one taxel in 100 is wider."""
 HUBER = 4.0
-"""Residual, in standard deviations, to which that of an outlying reading is cut."""
+"""Residual, in standard deviations, from which the cost of a reading with a learned response grows
+linearly, and to which that of an outlying one is cut: 6e-5 of the sound ones exceed it."""
 
 
 def displacements(fitted: FittedReadings, weight: Array, spread: Array) -> Array:

@@ -21,8 +21,9 @@ import numpy as np
 from ...core.arrays import Array
 from ..joint.departures import FittedReadings
 from ..joint.pressure import robust_costs
+from ..joint.rejected_readings import HUBER
 from .lags import contact_leverage
-from .random_effects import HUBER, RandomEffects
+from .random_effects import RandomEffects
 
 MIN_LEVERAGE = 1e-3
 """Mean leverage of the contacts' errors below which they add nothing: at 4e-4 it was less than 0.05

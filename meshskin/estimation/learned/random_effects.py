@@ -32,6 +32,7 @@ from ..joint.parametrization import Unknowns
 from ..joint.pressure import OBSERVED, robust_costs
 from ..joint.reading_sums import CONTACT_SIZE
 from ..joint.readings import Readings
+from ..joint.rejected_readings import HUBER
 from ..joint.variable_projection import LOOSE_SIGMA
 from .deviations import Deviations
 from .lagged_system import LaggedSystem
@@ -56,9 +57,6 @@ some recordings with errors of amplitude or logarithmic responses did not reach 
 RESTRAINED = 3
 """The trial that the first step begins with: far from the optimum, global parameters would go along
 the valley by what places and effects still lack."""
-HUBER = 4.0
-"""Residual, in standard deviations, from which a reading's cost grows linearly: 6e-5 of the sound
-ones exceed it."""
 PROPORTIONAL = 5.0
 """Expected increase of the restricted likelihood by a variance below which the noise may grow with
 the reading: before, what the effects do not explain yet would pass for it."""

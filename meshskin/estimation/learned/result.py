@@ -17,7 +17,7 @@ from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
 from ..joint.joint_estimator import MAX_CHI2, JointEstimator
 from ..joint.leaks import further_shares, leak_covariances
-from ..joint.noise import neighbours
+from ..joint.noise import Noise, neighbour_scatter
 from ..joint.null_space import undetermined_motion
 from ..joint.optimum import model_dependence
 from ..joint.pressure import CENSORED, OBSERVED
@@ -241,30 +241,18 @@ def _fit(effects: RandomEffects) -> GoodnessOfFit:
     contacts, whose residuals have the same leverages."""
     readings, r = effects.readings, effects.residuals()
     clear = effects.clear()
-    known, noise, pairs = effects.noise_known, 1.0, 0
+    known, noise = effects.noise_known, Noise(1.0, 0)
     if not known:
-        noise, pairs = _neighbour_scatter(effects, r, np.flatnonzero(clear))
+        points, rows = effects.data.points, np.flatnonzero(clear)
+        noise = neighbour_scatter(readings, points, r, rows, lambda a, b: np.full(len(a), 2.0))
     fit = goodness_of_fit(
-        chi2=float(readings.weight[clear] @ r[clear] ** 2) / noise**2,
+        chi2=float(readings.weight[clear] @ r[clear] ** 2) / noise.scale**2,
         freedom=float(readings.weight[clear] @ (1 - effects.leverages[clear] * known)),
         noise_known=known,
         outlying=int(np.sum(fault_detection.outliers(readings))),
-        pairs=pairs,
+        pairs=noise.pairs,
     )
-    return replace(fit, noise=noise * effects.deviations.noise * effects.data.sigma)
-
-
-def _neighbour_scatter(effects: RandomEffects, r: Array, rows: np.ndarray) -> tuple[float, int]:
-    """Standard deviation of the residuals r (k,) by the differences of the readings `rows` of a
-    taxel in neighbouring contacts, and the number of pairs; of neighbours in space and in time the
-    smaller counts."""
-    found = [
-        (float(np.sqrt(np.mean((r[a] - r[b]) ** 2) / 2)), len(a))
-        for a, b in neighbours(effects.readings, effects.data.points, rows)
-        if len(a)
-    ]
-    enough = [pair for pair in found if 2 * pair[1] >= max(n for _, n in found)]
-    return min(enough) if enough else (1.0, 0)
+    return replace(fit, noise=noise.scale * effects.deviations.noise * effects.data.sigma)
 
 
 def _shared_values(effects: RandomEffects, covariance: Array) -> dict[str, tuple[float, float]]:

@@ -38,8 +38,6 @@ SQRT_INFORMATION = 21
 """Entries of the upper triangle of W, by rows."""
 EDGE = 2 * DISPLACEMENT + SQRT_INFORMATION
 """Parameters of an edge: current displacement, measured displacement, W."""
-UPPER = np.triu_indices(6)
-"""Entries of the upper triangle of a block, by rows."""
 LOWER = [(r, c) for r in range(6) for c in range(r + 1)]
 """Entries of the lower triangle of a block, by rows."""
 

@@ -18,14 +18,13 @@ from ...core.arrays import Array, Index
 from ...core.atomic_io import write_text
 from ...core.errors import GraphError, reason
 from .symbolic_factorization import Int64Array
+from .symmetric_blocks import UPPER
 from .validation import SINGULAR
 
 FIELDS = {"VERTEX_SE3:QUAT": 8, "EDGE_SE3:QUAT": 30, "VERTEX_SE2": 4, "EDGE_SE2": 11}
 """Tags that are read, and their numbers per line."""
 IGNORED = {"FIX"}
 """Tags that are ignored: the anchors follow from the edges."""
-UPPER = np.triu_indices(6)
-"""Entries of an information matrix in the order of the file."""
 PLANAR = np.array([0, 1, 5])
 """Degrees of freedom of a pose that moves in the plane z = 0: x, y, yaw."""
 UPPER_PLANAR = np.triu_indices(3)

@@ -26,12 +26,12 @@ from .edge_assembly import (
     DISPLACEMENT,
     EDGE,
     SQRT_INFORMATION,
-    UPPER,
     displacements,
     weighted_errors,
 )
 from .problem import PoseGraphProblem, pack_parameters
 from .symbolic_factorization import IntArray
+from .symmetric_blocks import UPPER
 
 if TYPE_CHECKING:
     from .graph import PoseGraph

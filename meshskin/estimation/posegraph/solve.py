@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...core.arguments import check_integer
 from ...core.arrays import Array
 from ...core.blas import single_threaded
 from ...core.errors import GraphError, UnknownNameError
@@ -28,6 +29,7 @@ from .minimize import (
     minimize_reweighted,
 )
 from .problem import pack_parameters
+from .symmetric_blocks import SymmetricBlocks
 
 if TYPE_CHECKING:
     from .graph import PoseGraph
@@ -131,13 +133,20 @@ class PoseGraphSolution:
         graph = self.graph
         if not len(graph.edges):
             return np.zeros((len(self.poses), 6, 6))
-        root = _sqrt_information(graph, self.objective) * np.sqrt(self.weights)[:, None, None]
-        edges = edge_parameters(graph, self.poses, root)
-        problem = graph.problem(RESIDUALS[self.objective])
-        information = problem.hessian(pack_parameters(edges, np.ones(2), 0.0))
-        covariances = graph.topology.cholesky.marginal_covariances(information)
+        blocks = information(graph, self.poses, self.objective, self.weights)
+        covariances = graph.topology.cholesky.marginal_covariances(blocks)
         covariances[graph.anchors] = 0.0
         return covariances
+
+
+def information(
+    graph: PoseGraph, poses: Array, objective: str, weights: Array | float = 1.0
+) -> SymmetricBlocks:
+    """Gauss-Newton information on local increments of the `poses` (n, 4, 4), of displacements with
+    `weights` (m,); anchors have a block of typical size, apart from the others."""
+    root = _sqrt_information(graph, objective) * np.sqrt(weights).reshape(-1, 1, 1)
+    edges = edge_parameters(graph, poses, root)
+    return graph.problem(RESIDUALS[objective]).hessian(pack_parameters(edges, np.ones(2), 0.0))
 
 
 @single_threaded()
@@ -159,8 +168,8 @@ def solve(
         raise UnknownNameError("objective", objective, RESIDUALS)
     if robust is not None and robust not in ROBUST:
         raise UnknownNameError("robust cost", robust, ROBUST)
-    if limit is not None and limit < 1:
-        raise GraphError("limit of iterations is too small", value=limit, limit="at least 1")
+    if limit is not None:
+        check_integer("limit of iterations", limit, least=1, error=GraphError)
     stage = None if progress is None else Stage(progress, "solve", USUAL_ITERATIONS)
     solution = _solve(graph, objective, start, robust, keep_iterates, limit, stage)
     chordal = isinstance(start, str) and start == "chordal"

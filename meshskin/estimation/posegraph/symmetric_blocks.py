@@ -17,6 +17,8 @@ from scipy.sparse.linalg import splu
 from ...core.arrays import Array, sums_by_group
 from .symbolic_factorization import IntArray
 
+UPPER = np.triu_indices(6)
+"""Entries of the upper triangle of a block of a pose, by rows, as in g2o files."""
 COLUMNS = 120
 """Right-hand sides that are solved together: 14 MB for 2,500 poses."""
 

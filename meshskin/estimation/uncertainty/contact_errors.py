@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array, means_by_group
+from ...core.arrays import Array
 from ..data import delay
 from ..data.registration import CELL, MIN_SCATTER, slopes
 from ..trilateration.displacements import surface_motion
+from ..trilateration.trilaterate import starts
 from . import swapped_axes
 from .tilts import tilts
 
@@ -64,7 +65,7 @@ def systematic_covariance(
     (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators; jump (3,), m: displacement of
     the contacts in a part of the recording.
     """
-    points, middles = nearer_points(data, unknowns), _middles(data)
+    points, middles = nearer_points(data, unknowns), starts(data)
     hit, tangents = data.body.closest(points), rotations[:, :, :2]
     sideways = motion(data, points, hit.distance, hit.normal).squares(middles)
     sideways += delay.remaining_squares(data)
@@ -119,14 +120,6 @@ def local_means(data: Measurements, distance: Array) -> tuple[Array, Array]:
     mean = np.asarray(np.bincount(data.taxel, share * h, n), dtype=float)
     scatter = float(np.sum((h - mean[data.taxel]) ** 2)) / max(len(h) - n, 1)
     return mean, np.asarray(scatter * np.bincount(data.taxel, share**2, n))
-
-
-def _middles(data: Measurements) -> Array:
-    """Means (n, 3), m, of each taxel's contact points, weighted by pressure squared; those of all
-    without readings."""
-    points, weight = data.points[data.contact], data.pressure**2
-    mean = means_by_group(points, data.taxel, len(data.ids), weight)
-    return np.where(np.isfinite(mean), mean, data.points.mean(axis=0))
 
 
 def _normal_variance(data: Measurements, distance: Array) -> Array:

@@ -7,14 +7,11 @@ those after the alignment.
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
 
 from ...core import se3
 from ...core.arrays import Array
 from ..posegraph import PoseGraph
-from ..posegraph.cholesky import Cholesky
-from ..posegraph.solve import PoseGraphSolution
-from ..posegraph.symmetric_blocks import SymmetricBlocks
+from ..posegraph.solve import PoseGraphSolution, information
 from ..result import EstimatorResult
 from .observability import SPIN
 
@@ -28,13 +25,13 @@ def aligned_estimate(
     solution: PoseGraphSolution,
     fit: EstimatorResult,
     errors: Array,
-    information: str,
+    weighting: str,
     seconds: float,
 ) -> EstimatorResult:
     """The estimate of all taxels by a solved graph of those that `fit` has found.
 
-    errors: as of `covariances`; information: name of that of the edges; seconds: time of building
-    the graph.
+    errors: as of `covariances`; weighting: of the edges, by its name; seconds: time of building the
+    graph.
     """
     assert solution.iterates is not None
     placed, linked = aligned(graph, solution.poses)
@@ -60,7 +57,7 @@ def aligned_estimate(
         iterates=iterates,
         anchor="rigid alignment of each connected part with the trilaterated positions",
         factors=(
-            f"{len(graph.edges)} displacements of taxels active together, {information} "
+            f"{len(graph.edges)} displacements of taxels active together, {weighting} "
             "information, taken as independent; the covariance is scaled for the readings that "
             "they share",
             "rotation of each frame about its normal: a convention",
@@ -94,28 +91,31 @@ def covariances(graph: PoseGraph, poses: Array, errors: Array | None = None) -> 
     displacements give the mean factor by which the part's S is too small.
     """
     out = np.tile(np.diag([np.inf] * 6), (len(poses), 1, 1))
-    information = gauss_newton_information(graph, poses)
-    gradients = None if errors is None else _gradients(graph, poses, errors)
-    for rows in _parts(graph):
-        free = (6 * rows[1:, None] + np.arange(6)).ravel()
-        inner = information[free][:, free]
-        s = np.zeros((len(rows), 6, 6))
-        blocks = SymmetricBlocks.from_lower_triangle(sparse.csr_array(sparse.tril(inner)), 6)
-        cholesky = Cholesky(len(rows) - 1, blocks.rows, blocks.columns)
-        s[1:] = cholesky.marginal_covariances(blocks)
-        whole = _rigid_motions(poses[rows])
-        shift = whole * np.repeat([1.0, 0.0], 3)[:, None]
-        w = np.zeros((len(rows), 6, 6))
-        w[1:] = cholesky.solve(blocks, shift[1:])
-        lever = whole @ np.linalg.inv(np.einsum("nij,nik->jk", shift, shift))
-        back = lever @ np.swapaxes(w, 1, 2)
-        ends = lever @ np.einsum("nij,nik->jk", shift, w) @ np.swapaxes(lever, 1, 2)
-        out[rows] = s - back - np.swapaxes(back, 1, 2) + ends
-        if gradients is not None:
-            moves = np.zeros_like(gradients[rows])
-            moves[1:] = cholesky.solve(blocks, gradients[rows[1:]])
-            moves -= lever @ np.einsum("nij,nik->jk", shift, moves)
-            out[rows] *= max(_excess(moves, out[rows]), 1.0)
+    blocks, cholesky = information(graph, poses, "geodesic"), graph.topology.cholesky
+    s = cholesky.marginal_covariances(blocks)
+    s[graph.anchors] = 0.0
+    parts, whole = _parts(graph), np.zeros((len(poses), 6, 6))
+    for rows in parts:
+        whole[rows] = _rigid_motions(poses[rows])
+    shift = whole * np.repeat([1.0, 0.0], 3)[:, None]
+
+    def moves_by(gradients: Array) -> Array:
+        """Moves (n, 6, k) of the poses, but for the anchors, under gradients (n, 6, k)."""
+        free = gradients.copy()
+        free[graph.anchors] = 0.0
+        return cholesky.solve(blocks, free)
+
+    w = moves_by(shift)
+    moves = None if errors is None else moves_by(_gradients(graph, poses, errors))
+    for rows in parts:
+        lever = whole[rows] @ np.linalg.inv(np.einsum("nij,nik->jk", shift[rows], shift[rows]))
+        back = lever @ np.swapaxes(w[rows], 1, 2)
+        inner = np.einsum("nij,nik->jk", shift[rows], w[rows])
+        ends = lever @ inner @ np.swapaxes(lever, 1, 2)
+        out[rows] = s[rows] - back - np.swapaxes(back, 1, 2) + ends
+        if moves is not None:
+            off = lever @ np.einsum("nij,nik->jk", shift[rows], moves[rows])
+            out[rows] *= max(_excess(moves[rows] - off, out[rows]), 1.0)
     return out
 
 
@@ -159,18 +159,3 @@ def _jacobians(graph: PoseGraph, poses: Array) -> tuple[Array, Array]:
     into_i[:, 3:, 3:] = -np.swapaxes(rotation, 1, 2)
     into_j[:, :3, :3], into_j[:, 3:, 3:] = rotation, np.eye(3)
     return into_i, into_j
-
-
-def gauss_newton_information(graph: PoseGraph, poses: Array) -> sparse.csr_array:
-    """Gauss-Newton information (6 n, 6 n) on local increments of the poses."""
-    ends = tuple(zip(graph.edges.T, _jacobians(graph, poses), strict=True))
-    blocks = [
-        np.swapaxes(a, 1, 2) @ graph.semidefinite_information @ b for _, a in ends for _, b in ends
-    ]
-    rows = np.concatenate([a for a, _ in ends for _ in ends])
-    columns = np.concatenate([b for _ in ends for b, _ in ends])
-    index = 6 * np.stack([rows, columns])[:, :, None, None]
-    r, c = np.broadcast_arrays(index[0] + np.arange(6)[:, None], index[1] + np.arange(6))
-    size = 6 * len(poses)
-    entries = np.concatenate(blocks).ravel()
-    return sparse.coo_array((entries, (r.ravel(), c.ravel())), shape=(size, size)).tocsr()

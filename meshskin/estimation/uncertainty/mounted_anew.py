@@ -21,8 +21,8 @@ PLACES = 16
 POINTS = 1000
 """Contact points, at most, that are compared."""
 SMALL = 0.02
-"""Distance of the points from the surface (rms) after one displacement of all, in depths of the
-indentation, up to which they are on it: 0.04 mm for the paper's skin."""
+"""Distance of the points from the surface (rms), in depths of the indentation, up to which they are
+on it: 0.04 mm for the paper's skin."""
 WEAK = 0.03
 """Singular value, relative to the largest, of a direction in which a displacement hardly changes
 the distances, so that it is none."""

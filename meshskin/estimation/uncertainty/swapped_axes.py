@@ -15,7 +15,7 @@ import numpy as np
 from ...core.arrays import Array
 from ...recording.recording import JOINT_ANGLES
 from . import verdict
-from .mounted_anew import displacements
+from .mounted_anew import SMALL, displacements
 from .verdict import FAIL, PASS, Finding, level_of
 
 if TYPE_CHECKING:
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 
 POINTS = 300
 """Contact points, at most, that are compared."""
-SMALL = 0.02
-"""Distance of the points from the surface (rms), in depths of the indentation, up to which they are
-on it: 0.04 mm for the paper's skin."""
 BETTER = 1.5, 4.0
 """Ratio of the mean squared distances as recorded and with other axes from which it is a doubt, and
 a failure. On a body that is symmetric but for its mesh's errors, both differ by less."""

@@ -177,8 +177,15 @@ class Surface:
         return self.at(*self._search.descend(p, self._known(face, len(p))), p)
 
     def _known(self, face: ArrayLike, count: int) -> Index:
-        """Faces (count,). Raises MeshError where one is not of this mesh."""
-        known = np.broadcast_to(np.asarray(face, dtype=np.intp), count)
+        """Faces (count,). Raises MeshError for another number, or one that does not exist."""
+        known = np.asarray(face)
+        if known.shape not in ((), (count,)) or (known.dtype.kind not in "iu" and known.size):
+            raise MeshError(
+                "faces must be integers, one for each point",
+                value=f"shape {known.shape} of {known.dtype}",
+                limit=f"({count},)",
+            )
+        known = np.broadcast_to(known.astype(np.intp), count)
         beside = np.flatnonzero((known < 0) | (known >= len(self.faces)))
         if len(beside):
             raise MeshError(

@@ -94,3 +94,20 @@ def test_tables_of_another_shape_are_refused(world, turned):
         ContactMotion(("a", "b"), np.ones(2), motion.slopes)
     with pytest.raises(ConfigError, match="finite"):
         ContactMotion(NAMES, np.ones(3), motion.slopes * np.nan)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"mean": np.zeros(2)}, r"mean .* got shape \(2,\), limit: shape \(3,\)"),
+        ({"mean": [0.0, np.nan, 0.0]}, "mean of a contact motion must be finite"),
+        ({"root": np.eye(2)}, r"root .* got shape \(2, 2\)"),
+        ({"root": np.eye(3)[:, :2], "about": np.zeros(3)}, r"about .* limit: shape \(2,\)"),
+        ({"held": np.zeros((2, 1))}, "held of a contact motion must fit its unknowns"),
+        ({"sigma": ["a", 1, 1]}, "sigma of a contact motion must be numbers"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(wrong, message):
+    given = {"sigma": np.ones(3), "slopes": np.zeros((4, 3, 3)), **wrong}
+    with pytest.raises(ConfigError, match=message):
+        ContactMotion(NAMES, **given)

@@ -243,3 +243,6 @@ def test_unknown_names(skin_graph):
         graph.solve("geodesics")
     with pytest.raises(GraphError, match="start poses"):
         graph.solve(start=graph.poses[:-1])
+    for limit in (0, 2.5, True):
+        with pytest.raises(GraphError, match="limit of iterations"):
+            graph.solve(limit=limit)
