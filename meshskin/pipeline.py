@@ -262,22 +262,14 @@ def _assess(
     recording, belief = done.estimation.recording, done.estimation.belief
     motion, skin = recording.motion, scene.skin
     located = np.isfinite(calibration.positions).all(axis=1)
-    return {
-        "verdict": None if calibration.verdict is None else calibration.verdict.metrics(),
+    return truth.without_truth(calibration, recording) | {
         "scene": scene.name,
-        "taxels": len(calibration.ids),
-        "touched": int(calibration.touched.sum()),
         "coverage": coverage(len(skin), recording.metadata.get("unreachable", {})),
-        "contacts": len(recording.time),
         "readings": len(recording.pressure),
         "position_error_mm": truth.summary_mm(truth.position_errors(calibration, skin)),
         "crlb_mm": truth.bound_mm(recording, belief, skin, calibration.ids[located]),
         "nees": float(np.nanmean(truth.nees(calibration, skin))),
         "nees_band": _nees_band(calibration),
-        "undetermined": truth.undetermined(calibration),
-        "modulus_pa": calibration.modulus,
-        "modulus_sigma_pa": calibration.modulus_sigma,
-        "response": None if calibration.response is None else calibration.response.metrics(),
         "force": _force_metrics(force, describe_departure(recording)),
         "demonstration_mm": None if demonstration is None else 1e3 * demonstration.mean_error,
         "steps": motion.num_rows if motion else 0,

@@ -134,24 +134,15 @@ def recorded(options: argparse.Namespace) -> FromLog:
 
 def assess(found: Calibration, recording: Recording) -> dict[str, Any]:
     """The content of metrics.json: quantities that need no ground truth."""
-    from ..estimation.uncertainty.metrics import undetermined
+    from ..estimation.uncertainty.metrics import without_truth
 
     good = found.observed[:, :2].all(axis=1)
     sigma = 1e3 * found.position_sigma[good]
-    return {
-        "verdict": None if found.verdict is None else found.verdict.metrics(),
+    return without_truth(found, recording) | {
         "method": found.method,
-        "taxels": len(found.ids),
-        "touched": int(found.touched.sum()),
         "determined": int(good.sum()),
-        "contacts": len(recording.time),
-        "readings": int(found.readings.sum()),
         "sigma_mm": {"mean": float(sigma.mean()), "max": float(sigma.max())} if good.any() else {},
-        "modulus_pa": found.modulus,
-        "modulus_sigma_pa": found.modulus_sigma,
-        "response": None if found.response is None else found.response.metrics(),
         "unknowns": {name: list(value) for name, value in found.unknowns.items()},
-        "undetermined": undetermined(found),
         "rests_on_priors": list(found.undetermined),
         "fit": None if found.fit is None else {"p": found.fit.p, "words": found.fit.words},
         "faults": faults(found),

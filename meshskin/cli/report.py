@@ -53,7 +53,7 @@ def command(options: argparse.Namespace) -> int:
             return None
 
     scene = attempt("scene", lambda: _scene(options, inputs))
-    recording = attempt("recording", lambda: _recording(options, inputs))
+    recording = attempt("recording", lambda: _recording(options, metrics))
     body = scene.body if scene is not None else attempt("body", lambda: _body(options, inputs))
     validation = None
     if "cross_validation" in metrics:
@@ -98,18 +98,42 @@ def _scene(options: argparse.Namespace, inputs: dict[str, Any]) -> Scene | None:
     return None if name is None else Scene.load(name)
 
 
-def _recording(options: argparse.Namespace, inputs: dict[str, Any]) -> Recording:
-    """The recording of the options, of the folder, or of the inputs."""
+def _recording(options: argparse.Namespace, metrics: dict[str, Any]) -> Recording:
+    """The recording that was calibrated: that of the options, of the folder, or of the inputs.
+
+    Raises ConfigError where it is another one, as that of an earlier run into the same folder.
+    """
     from ..recording.recording import Recording
     from ..recording.recording_files import part_path
 
+    inputs = metrics.get("inputs", {})
     own = options.folder / "recording"
-    if options.recording is None and part_path(own, "contacts").exists():
-        return Recording.load(own)
-    path = options.recording or inputs.get("recording")
-    if path is None:
+    paths = [own] if part_path(own, "contacts").exists() else []
+    paths += [inputs["recording"]] if "recording" in inputs else []
+    paths = paths if options.recording is None else [options.recording]
+    if not paths:
         raise ConfigError("it is not known which one was calibrated", remedy="give --recording")
-    return Recording.load(path)
+    for path in paths[:-1]:
+        with suppress(MeshskinError):
+            if _is_calibrated(recording := Recording.load(path), metrics):
+                return recording
+    recording = Recording.load(paths[-1])
+    if not _is_calibrated(recording, metrics):
+        raise ConfigError(
+            f"{paths[-1]} is not the recording that was calibrated",
+            value=f"{len(recording.time)} contacts, {len(recording.pressure)} readings",
+            remedy="give it as --recording",
+        )
+    return recording
+
+
+def _is_calibrated(recording: Recording, metrics: dict[str, Any]) -> bool:
+    """Whether the metrics are of this recording; without its digest, whether the numbers of
+    contacts are equal."""
+    known = metrics.get("recording_digest")
+    if known is not None:
+        return bool(recording.digest == known)
+    return bool(metrics.get("contacts", len(recording.time)) == len(recording.time))
 
 
 def _body(options: argparse.Namespace, inputs: dict[str, Any]) -> Any:

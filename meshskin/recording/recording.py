@@ -25,6 +25,7 @@ from ..core.arguments import check_name, repr_short
 from ..core.arrays import Array, nearest_rows
 from ..core.errors import RecordingError
 from ..core.notebook import Card, data_frame
+from ..core.provenance import digest
 from ..core.value import Value
 from . import csv_log
 from .recording_files import RecordingWriter, common_part, part_path, read_table
@@ -176,6 +177,13 @@ class Recording(Value, Card):
     def force(self) -> Array:
         """Normal contact forces (m,), N."""
         return _column(self.contacts, "force")
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of contacts and readings, by which a result names the recording it is from."""
+        readings = _column(self.readings, "time"), self.reading_taxel, self.pressure
+        columns = (self.time, self.points, self.normals, self.force, *readings)
+        return digest(*(np.asarray(column, dtype=float) for column in columns))
 
     @cached_property
     def headings(self) -> Array | None:

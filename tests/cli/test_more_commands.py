@@ -185,6 +185,30 @@ def test_the_page_gets_what_the_folder_and_its_inputs_hold(folder, capsys, monke
     assert cli.main(["report", str(folder / "figures")]) == 2
 
 
+def test_the_page_gets_the_recording_that_was_calibrated(folder, tmp_path, capsys, monkeypatch):
+    """The folder of a run may hold the results of a later calibration of another recording."""
+    given = {}
+    monkeypatch.setattr(ms.Calibration, "report", lambda self, path, **rest: given.update(rest))
+    out, log = tmp_path / "out", tmp_path / "log"
+    shutil.copytree(folder, out)
+    earlier = ms.Recording.load(out)
+    later = replace(earlier, contacts=earlier.contacts.set_column(7, "force", [earlier.force + 1]))
+    later.save(log)
+    metrics = {"inputs": {"recording": str(log)}, "recording_digest": later.digest}
+    (out / "metrics.json").write_text(json.dumps(metrics))
+    assert cli.main(["report", str(out)]) == 0
+    assert given["recording"] == later
+    wrong = f"{out / 'recording'} is not the recording that was calibrated"
+    (out / "metrics.json").write_text(json.dumps(metrics | {"inputs": {}}))
+    for options in ([], ["--recording", str(out / "recording")]):
+        assert cli.main(["report", str(out), *options]) == 0
+        assert wrong in capsys.readouterr().out
+        assert given["recording"] is None
+    (out / "metrics.json").write_text(json.dumps({"contacts": 3}))  # by a version without digests
+    assert cli.main(["report", str(out)]) == 0
+    assert wrong in capsys.readouterr().out
+
+
 def test_the_page_gets_the_contacts_that_were_held_out(folder, tmp_path, capsys, monkeypatch):
     given = {}
     monkeypatch.setattr(ms.Calibration, "report", lambda self, path, **rest: given.update(rest))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -127,3 +127,20 @@ def undetermined(calibration: Calibration) -> str:
         if count:
             parts.append(f"{name} of {'every taxel' if count == (~whole).sum() else count}")
     return "; ".join(parts) if parts else "nothing"
+
+
+def without_truth(calibration: Calibration, recording: Recording) -> dict[str, Any]:
+    """What metrics.json holds of every calibration; the digest is that of its recording."""
+    response = calibration.response
+    return {
+        "verdict": None if calibration.verdict is None else calibration.verdict.metrics(),
+        "taxels": len(calibration.ids),
+        "touched": int(calibration.touched.sum()),
+        "contacts": len(recording.time),
+        "readings": int(calibration.readings.sum()),
+        "recording_digest": recording.digest,
+        "undetermined": undetermined(calibration),
+        "modulus_pa": calibration.modulus,
+        "modulus_sigma_pa": calibration.modulus_sigma,
+        "response": None if response is None else response.metrics(),
+    }
