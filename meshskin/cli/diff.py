@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.errors import ConfigError
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -30,7 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("a", type=Path, metavar="A", help="first skin file or calibration")
     parser.add_argument("b", type=Path, metavar="B", help="second one")
-    parser.add_argument("--part", help="skin to read from URDFs with several")
+    parser.add_argument("--part", help="skin to read from URDF and MJCF files with several")
     parser.add_argument("--all", action="store_true", help="print long lists in full")
     parser.add_argument(
         "--worst",
@@ -43,8 +45,14 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Print the comparison."""
+    from ..skin import files
     from ..skin.compare import compare
 
+    if options.part is not None and not any(map(files.has_parts, (options.a, options.b))):
+        raise ConfigError(
+            "--part chooses a skin of a URDF or MJCF file", value=f"--part {options.part}",
+            remedy="leave it out",
+        )  # fmt: skip
     a, b = (_skin(path, options.part) for path in (options.a, options.b))
     difference = compare(a, b)
     for name, path, skin in (("A", options.a, a), ("B", options.b, b)):
@@ -60,10 +68,11 @@ def command(options: argparse.Namespace) -> int:
 def _skin(path: Path, part: str | None) -> Skin:
     """The skin of a file, or the determined taxels of a calibration. Raises SkinError."""
     from ..estimation.calibration import Calibration
+    from ..skin import files
     from ..skin.skin import Skin
 
     if (file := saved_calibration(path)) is None:
-        return Skin.load(path, part)
+        return Skin.load(path, part if files.has_parts(path) else None)
     found = Calibration.load(file)
     good = np.isfinite(found.positions).all(axis=1)
     return Skin(found.poses[good], found.ids[good])

@@ -20,7 +20,7 @@ SHOWN = 12
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("file", type=Path, metavar="FILE", help="skin file in any supported format")
-    parser.add_argument("--part", help="skin to read from a URDF with several")
+    parser.add_argument("--part", help="skin to read from a URDF or MJCF file with several")
     parser.add_argument("--all", action="store_true", help="print long lists in full")
 
 

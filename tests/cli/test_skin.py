@@ -62,6 +62,12 @@ def test_a_part_is_chosen(arm, tmp_path, capsys):
     assert cli.main(["lint", str(tmp_path / "left.urdf"), "--part", "left"]) == 0
     capsys.readouterr()
     assert "limit: left" in fails(capsys, "lint", tmp_path / "left.urdf", "--part", "right")
+    arm.save(tmp_path / "left.csv")
+    part = ("--part", "left")
+    assert "leave part=" in fails(capsys, "lint", tmp_path / "left.csv", *part)
+    assert "leave it out" in fails(capsys, "diff", *2 * [tmp_path / "left.csv"], *part)
+    files = [str(tmp_path / name) for name in ("left.csv", "left.urdf")]
+    assert cli.main(["diff", *files, *part]) == 0  # of the one that has parts
 
 
 def test_diff_of_the_same_skin(arm, tmp_path, capsys):

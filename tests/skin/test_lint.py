@@ -284,3 +284,8 @@ def test_what_is_no_path_is_refused_with_its_value(call):
     for value in (3, Body.sphere(0.1)):
         with pytest.raises(SkinError, match=r"must be a path, got .*; give a file name"):
             call(value)
+
+
+def test_a_part_of_a_skin_is_refused(arm):
+    with pytest.raises(SkinError, match="part= chooses a skin of a file, got palm; leave it out"):
+        lint(arm, part="palm")

@@ -188,7 +188,7 @@ def edited(path, line, change):
         (
             4,
             lambda s: s.rsplit(",", 1)[0] + ",3.0",
-            "taxel line 3: the quaternion must have unit norm",
+            "taxel line 3: the frame must be a rotation, got quaternion of norm",
         ),
         (0, lambda s: "# disc_radius_m=wide", "disc radius"),
     ],

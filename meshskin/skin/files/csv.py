@@ -6,8 +6,15 @@ from __future__ import annotations
 import numpy as np
 
 from ...core import se3
-from ...core.errors import SkinError
-from .table import DISC_RADIUS, SkinRows, SkinTable, parse_numbers, parse_sigmas
+from .table import (
+    DISC_RADIUS,
+    SkinRows,
+    SkinTable,
+    damaged,
+    parse_id,
+    parse_numbers,
+    parse_sigmas,
+)
 
 COLUMNS = ("id", "x", "y", "z", "nx", "ny", "nz", "qx", "qy", "qz", "qw")
 HEADER = "# meshskin skin"
@@ -35,30 +42,28 @@ def read(text: str, name: str) -> SkinTable:
     body = [line for line in lines if not line.startswith("#")]
     columns = tuple(field.strip() for field in body[0].split(",")) if body else ()
     if columns not in (COLUMNS, (*COLUMNS, _SIGMA)):
-        raise SkinError(
+        raise damaged(
             f"{name} is not a skin file",
-            value=repr(body[0][:60]) if body else "no lines",
-            limit=f"columns {','.join(COLUMNS)}",
+            repr(body[0][:60]) if body else "no lines",
+            f"columns {','.join(COLUMNS)}",
+            "give a file of a format that Skin.save writes, or of iCub",
         )
     if len(body) < 2:
-        raise SkinError(f"{name} holds no taxels")
+        raise damaged(f"{name} holds no taxels", remedy="add a line for each")
     ids, rows, sigmas = [], [], []
     for number, line in enumerate(body[1:], start=1):
         taxel, *fields = line.split(",")
         where = f"{name}, taxel line {number}"
         sigmas.append(fields.pop() if len(columns) == len(fields) + 1 > len(COLUMNS) else "")
         rows.append(parse_numbers(fields, len(COLUMNS) - 1, where, f"{len(COLUMNS)} columns"))
-        try:
-            ids.append(np.int64(int(taxel)))
-        except (ValueError, OverflowError) as error:
-            raise SkinError(where, value=str(error)) from error
+        ids.append(parse_id(taxel, where))
     table = np.array(rows)
     head = [line.partition(_RADIUS)[2].partition(", " + _FRAME) for line in comments]
     radii = [radius for radius, _, _ in head if radius]
     radius = parse_numbers(radii[:1], 1, f"{name}: disc radius")[0] if radii else DISC_RADIUS
     return SkinTable(
         "csv",
-        np.array(ids),
+        np.array(ids, dtype=np.int64),
         table[:, :3],
         table[:, 3:6],
         table[:, 6:],

@@ -11,12 +11,13 @@ import struct
 
 import numpy as np
 
-from ...core.errors import SkinError
-from .table import DISC_RADIUS, SkinRows, SkinTable, frame_mesh
+from .table import DISC_RADIUS, SkinRows, SkinTable, damaged, frame_mesh, parse_id
 
 _NODE = re.compile(r"taxel_(-?\d+)")
 _RADIUS, _FRAME, _SIGMA = "disc_radius_m", "frame", "sigma_m"
-_READ_ERRORS = (ValueError, KeyError, IndexError, TypeError, NotImplementedError, struct.error)
+_READ_ERRORS = (
+    ValueError, LookupError, TypeError, AttributeError, NotImplementedError, struct.error,
+)  # fmt: skip
 """Exceptions of trimesh for a file that is not GLB, or truncated."""
 
 
@@ -43,15 +44,15 @@ def read(data: bytes, name: str) -> SkinTable:
 
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type="glb")
+        found = [(m, node) for node in scene.graph.nodes if (m := _NODE.fullmatch(str(node)))]
+        nodes = sorted((parse_id(match[1], name), node) for match, node in found)
+        poses = np.array([scene.graph.get(node)[0] for _, node in nodes], dtype=float)
+        extras, ids = scene.metadata, [taxel for taxel, _ in nodes]
+        sigma, radius = extras.get(_SIGMA), float(extras.get(_RADIUS, DISC_RADIUS))
+        known = [float(sigma.get(str(taxel), "nan")) for taxel in ids] if sigma else None
     except _READ_ERRORS as error:
-        raise SkinError(f"{name} cannot be read", value=str(error)) from error
-    found = [(m, node) for node in scene.graph.nodes if (m := _NODE.fullmatch(str(node)))]
-    nodes = sorted((int(match[1]), node) for match, node in found)
+        raise damaged(f"{name} cannot be read", error, remedy="write it again") from error
     if not nodes:
-        raise SkinError(f"{name} has no skin", limit="nodes taxel_<id>")
-    poses = np.array([scene.graph.get(node)[0] for _, node in nodes], dtype=float)
-    extras, ids = scene.metadata, [taxel for taxel, _ in nodes]
-    sigma, radius = extras.get(_SIGMA), float(extras.get(_RADIUS, DISC_RADIUS))
-    known = [float(sigma.get(str(taxel), "nan")) for taxel in ids] if sigma else None
+        raise damaged(f"{name} has no skin", limit="nodes taxel_<id>")
     sigmas = None if known is None else np.array(known)
     return SkinTable.of_poses("glb", ids, poses, radius, sigmas, extras.get(_FRAME))

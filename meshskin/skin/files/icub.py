@@ -12,9 +12,8 @@ import re
 import numpy as np
 
 from ...core.arrays import Array
-from ...core.errors import SkinError
 from ..slots import CENTRE, OFFSETS, PER_MODULE, TAXELS, THERMAL, is_modular
-from .table import SkinRows, SkinTable, parse_numbers
+from .table import SkinRows, SkinTable, check_ids, damaged, parse_id, parse_numbers
 
 SHAPE_TOLERANCE = 0.2e-3
 """Largest difference, m, between distances of taxels in a file without header and in a module, for
@@ -41,11 +40,17 @@ def read(text: str, name: str) -> SkinTable:
     rows = np.array(listed).reshape(-1, 6)
     filled = np.flatnonzero(np.any(rows != 0.0, axis=1))  # NaN is not zero
     if not len(filled):
-        raise SkinError(f"{name} holds no taxels", value="only rows of zeros" if listed else None)
+        raise damaged(
+            f"{name} holds no taxels",
+            "only rows of zeros" if listed else "no rows",
+            remedy="write a row for each: x y z nx ny nz",
+        )
     ids = filled.astype(np.int64)
     if not header and _is_packed(rows):
         ids = np.add.outer(PER_MODULE * np.arange(len(rows) // len(TAXELS)), TAXELS).ravel()
-    representative = re.findall(r"-?\d+", header.get("taxel2Repr", ""))
+    where = f"{name}: taxel2Repr"
+    listed_slots = re.findall(r"-?\d+", header.get("taxel2Repr", ""))
+    representative = np.array([parse_id(text, where) for text in listed_slots], np.int64)
     sigmas = None
     if "sigma_m" in header:
         listed_sigmas = header["sigma_m"].strip("() ").split()
@@ -57,8 +62,9 @@ def read(text: str, name: str) -> SkinTable:
         rows[filled, :3],
         rows[filled, 3:],
         slots=len(rows) if header else None,
-        representative=np.array(representative, np.int64) if "taxel2Repr" in header else None,
+        representative=representative if "taxel2Repr" in header else None,
         sigmas=sigmas,
+        frame=header.get("name"),
     )
 
 
@@ -67,19 +73,13 @@ def write(skin: SkinRows) -> str:
 
     The name is that of the frame; sigmas are an entry of the header, which readers of the format
     skip. The rotation about the normal and the disc's radius are not part of it. Raises SkinError
-    for an id that cannot be the number of a row, and for a taxel without a position.
+    for an id that cannot be the number of a row.
     """
     ids, poses = skin.ids, skin.poses
-    for worst in (int(ids.min()), int(ids.max())):
-        if not 0 <= worst < MAX_SLOTS:
-            limit = f"0 to {MAX_SLOTS - 1}"
-            raise SkinError("a taxel id does not fit a position file", value=worst, limit=limit)
+    check_ids(ids, "position", 0, MAX_SLOTS - 1)
     count = PER_MODULE * (int(ids.max()) // PER_MODULE + 1)
     rows = np.zeros((count, 6))
     rows[ids] = np.column_stack([poses[:, :3, 3], np.nan_to_num(poses[:, :3, 2])])
-    if not np.isfinite(rows[:, :3]).all():
-        bad = int(ids[~np.isfinite(poses[:, :3, 3]).all(axis=1)][0])
-        raise SkinError("a taxel has no position", value=f"taxel {bad}", remedy="leave it out")
     representative = np.full(count, NO_MODULE)
     representative[ids] = ids
     if is_modular(ids):

@@ -17,7 +17,7 @@ import numpy as np
 from ...core.errors import SkinError
 from ...core.se3 import exp_so3
 from ..slots import OFFSETS, PER_MODULE, TAXELS, TWELVE_OFFSETS
-from .table import SkinTable
+from .table import SkinTable, damaged
 
 UNIT = 1e-3
 """Unit of the drawing, m."""
@@ -56,13 +56,13 @@ def parse(text: str, name: str) -> tuple[Element, ...]:
             inside = fields[0] == "[SENSORS]"
         elif inside:
             try:
-                module, (x, y, angle) = int(fields[1]), map(float, fields[2:5])
+                module, (x, y, angle) = int(np.int32(int(fields[1]))), map(float, fields[2:5])
                 mirror = len(fields) > 6 and int(fields[6]) != 0
-            except (ValueError, IndexError) as error:
-                raise SkinError(
+            except (ValueError, IndexError, OverflowError) as error:
+                raise damaged(
                     f"{name}, line {number} is not an element of a layout",
-                    value=repr(line.strip()[:60]),
-                    limit="kind number x y orientation gain [mirror]",
+                    repr(line.strip()[:60]),
+                    "kind number x y orientation gain [mirror]",
                 ) from error
             elements.append(Element(fields[0], module, x, y, angle, mirror))
     return tuple(elements)

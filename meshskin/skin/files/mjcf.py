@@ -15,12 +15,12 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from ...core import se3
-from ...core.errors import SkinError
 from .table import (
     DISC_RADIUS,
     SkinRows,
     SkinTable,
     chosen_part,
+    damaged,
     named_parts,
     number_text,
     parse_numbers,
@@ -58,16 +58,16 @@ def read(model: ET.Element, name: str, part: str | None = None) -> SkinTable:
 
     Raises SkinError, also for sites that are not placed by `pos` and `quat`.
     """
-    found = named_parts(model.iter("site"))
+    found = named_parts(model.iter("site"), name)
     if not found:
-        raise SkinError(f"{name} has no skin", limit="sites <part>_skin_<id>")
+        raise damaged(f"{name} has no skin", limit="sites <part>_skin_<id>")
     part = chosen_part(part, found, name)
     places, radius = [], DISC_RADIUS
     for number, site in found[part]:
         where = f"{name}: site of taxel {number}"
         other = {"euler", "axisangle", "xyaxes", "zaxis", "fromto"} & set(site.attrib)
         if other:
-            raise SkinError(where, value=", ".join(sorted(other)), limit="pos and quat")
+            raise damaged(where, ", ".join(sorted(other)), "pos and quat")
         pos = parse_numbers(site.get("pos", "0 0 0").split(), 3, where)
         quat = parse_numbers(site.get("quat", "1 0 0 0").split(), 4, where)
         places.append(np.concatenate([pos, np.roll(quat / np.linalg.norm(quat), -1)]))

@@ -9,8 +9,15 @@ from __future__ import annotations
 import numpy as np
 
 from ...core import se3
-from ...core.errors import SkinError
-from .table import DISC_RADIUS, SkinRows, SkinTable, frame_mesh
+from .table import (
+    DISC_RADIUS,
+    SkinRows,
+    SkinTable,
+    damaged,
+    frame_mesh,
+    parse_id,
+    parse_numbers,
+)
 
 NUMBERS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 SIGMA = "sigma"
@@ -36,7 +43,8 @@ def write(skin: SkinRows) -> str:
     first, _, rest = head.partition("\n")
     columns = NUMBERS if skin.sigmas is None else (*NUMBERS, SIGMA)
     properties = "".join(f"property double {column}\n" for column in columns)
-    element = f"element taxel {n}\nproperty int id\n{properties}"
+    whole = "int" if np.abs(skin.ids).max() < 2**31 else "double"  # PLY has no longer integers
+    element = f"element taxel {n}\nproperty {whole} id\n{properties}"
     numbers = [poses[:, :3, 3], se3.quaternion(poses[:, :3, :3])]
     numbers += [] if skin.sigmas is None else [np.asarray(skin.sigmas, dtype=float)[:, None]]
     each = zip(skin.ids.tolist(), np.concatenate(numbers, axis=1).tolist(), strict=True)
@@ -52,28 +60,25 @@ def read(text: str, name: str) -> SkinTable:
     head, _, body = text.partition("end_header")
     lines = head.splitlines()
     if "format ascii 1.0" not in lines or "\nelement taxel " not in head:
-        raise SkinError(
-            f"{name} is a mesh without taxels", remedy="give a PLY file made by Skin.save"
-        )
+        what = f"{name} is a mesh without taxels"
+        raise damaged(what, remedy="give a PLY file made by Skin.save")
     try:
         count = [int(line.split()[2]) for line in lines if line.startswith("element taxel ")]
         radius = [float(line[len(_COMMENT) :]) for line in lines if line.startswith(_COMMENT)]
         frame = [line[len(_FRAME) :] for line in lines if line.startswith(_FRAME)]
-        listed = [[float(v) for v in r.split()] for r in body.splitlines()[-count[0] :]]
-        if len({len(row) for row in listed}) > 1:
-            raise ValueError("rows of different lengths: the file is truncated")
-        rows = np.array(listed)
+        listed = [fields for line in body.splitlines() if (fields := line.split())][-count[0] :]
+        if len(listed) != count[0]:
+            raise ValueError(f"{len(listed)} rows in place of {count[0]}")
     except (ValueError, IndexError) as error:
-        raise SkinError(f"{name}: cannot read the rows of taxels", value=str(error)) from error
+        raise damaged(f"{name}: cannot read the rows of taxels", error) from error
     known = f"property double {SIGMA}" in lines
-    width = 1 + len(NUMBERS) + known
-    if rows.shape != (count[0], width):
-        raise SkinError(
-            f"{name}: the rows of taxels have the wrong shape",
-            value=rows.shape,
-            limit=(count[0], width),
-        )
+    ids, rows = [], []
+    for number, (taxel, *fields) in enumerate(listed, start=1):
+        where = f"{name}, taxel row {number}"
+        ids.append(parse_id(taxel, where))
+        rows.append(parse_numbers(fields, len(NUMBERS) + known, where))
+    places = np.array(rows)
     return SkinTable.of_quaternions(
-        "ply", rows[:, 0], rows[:, 1:8], (radius or [DISC_RADIUS])[0],
-        rows[:, 8] if known else None, next(iter(frame), None),
+        "ply", ids, places[:, :7], (radius or [DISC_RADIUS])[0],
+        places[:, 7] if known else None, next(iter(frame), None),
     )  # fmt: skip

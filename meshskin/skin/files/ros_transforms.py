@@ -16,12 +16,19 @@ import re
 import numpy as np
 
 from ...core import se3
-from ...core.errors import SkinError
-from .table import DISC_RADIUS, SkinRows, SkinTable, parse_sigmas
+from .table import (
+    DISC_RADIUS,
+    TAXEL_NAME,
+    SkinRows,
+    SkinTable,
+    damaged,
+    parse_id,
+    parse_numbers,
+    parse_sigmas,
+)
 
 HEAD = "transforms:"
 _RADIUS, _SIGMA = "# disc_radius_m: ", " # sigma_m: "
-_NAME = re.compile(r"(.+)_skin_(\d+)")
 
 
 def write(rows: SkinRows) -> str:
@@ -49,24 +56,24 @@ def read(text: str, name: str) -> SkinTable:
     for number, line in enumerate(text.splitlines(), start=1):
         where = f"{name}, line {number}"
         if line.startswith(_RADIUS):
-            radius = float(line.removeprefix(_RADIUS))
+            radius = float(parse_numbers([line.removeprefix(_RADIUS)], 1, where)[0])
         if not line.startswith("- "):
             continue
         try:
             text, _, sigma = line[2:].partition(_SIGMA)
             message = json.loads(text)
-            match = _NAME.fullmatch(message["child_frame_id"])
+            match = re.fullmatch(TAXEL_NAME, message["child_frame_id"])
             at, turn = (message["transform"][key] for key in ("translation", "rotation"))
             places.append([*(float(at[k]) for k in "xyz"), *(float(turn[k]) for k in "xyzw")])
-        except (ValueError, KeyError, TypeError) as error:
+            frame = str(message["header"]["frame_id"])
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
             limit = "a transform in JSON: header, child_frame_id, transform"
-            raise SkinError(where, value=f"{type(error).__name__}: {error}", limit=limit) from error
+            raise damaged(where, f"{type(error).__name__}: {error}", limit) from error
         if match is None:
-            raise SkinError(where, value=message["child_frame_id"], limit="<part>_skin_<id>")
-        ids.append(int(match[2]))
+            raise damaged(where, message["child_frame_id"], "<part>_skin_<id>")
+        ids.append(parse_id(match[2], where))
         sigmas.append(sigma)
-        frame = message.get("header", {}).get("frame_id", frame)
     if not ids:
-        raise SkinError(f"{name} holds no transforms", limit="lines `- {...}`")
+        raise damaged(f"{name} holds no transforms", limit="lines `- {...}`")
     known = parse_sigmas(sigmas, name)
     return SkinTable.of_quaternions("ros", ids, np.array(places), radius, known, frame)

@@ -24,6 +24,8 @@ FRAME_TOLERANCE = 1e-3
 norm and 1: four printed digits leave 1e-4."""
 SPIKE_WIDTH = 0.12
 """Base of the spikes of `frame_mesh`, relative to their length: for viewers."""
+TAXEL_NAME = r"(.+)_skin_(-?\d+)"
+"""Expression of the names of the frames of taxels: `<part>_skin_<id>`."""
 MIN_CENTRES = 8
 """Slots of a module whose taxel2Repr is the centre taxel, from which on it is triangular: ten are
 on a whole one, of which two may be missing."""
@@ -59,8 +61,14 @@ class SkinTable:
         cls, format: str, ids: ArrayLike, poses: Array, disc_radius: float,
         sigmas: Array | None, frame: str | None,
     ) -> SkinTable:  # fmt: skip
-        """The rows of a file with frames: poses (n, 3 or 4, 4)."""
-        quaternions = se3.quaternion(poses[:, :3, :3])
+        """The rows of a file with frames: poses (n, 3 or 4, 4).
+
+        A matrix that is not a rotation has the quaternion zero.
+        """
+        rotations, quaternions = poses[:, :3, :3], np.zeros((len(poses), 4))
+        off = np.abs(np.swapaxes(rotations, 1, 2) @ rotations - np.eye(3)).max(axis=(1, 2))
+        valid = (off < FRAME_TOLERANCE) & (np.linalg.det(rotations) > 0.0)  # False for NaN
+        quaternions[valid] = se3.quaternion(rotations[valid])
         columns = np.array(ids, dtype=np.int64), poses[:, :3, 3], poses[:, :3, 2], quaternions
         return cls(format, *columns, disc_radius, sigmas=sigmas, frame=frame)
 
@@ -127,15 +135,14 @@ class SkinTable:
         """
         values, counts = np.unique(self.ids, return_counts=True)
         if np.any(counts > 1):
-            raise SkinError(f"{name} names a taxel twice", value=int(values[counts > 1][0]))
+            raise damaged(f"{name} names a taxel twice", int(values[counts > 1][0]))
         numbers = [self.positions, self.normals]
         numbers += [] if self.quaternions is None else [self.quaternions]
         finite = np.isfinite(np.concatenate(numbers, axis=1)).all(axis=1)
         if not finite.all():
             row = int(np.argmin(finite))
-            raise SkinError(
-                f"{name}, taxel line {row + 1}: numbers of taxel {self.ids[row]} must be finite"
-            )
+            where = f"{name}, taxel line {row + 1}"
+            raise damaged(f"{where}: numbers of taxel {self.ids[row]} must be finite")
         if self.quaternions is not None:
             return se3.transform(self._rotations(name, self.quaternions), self.positions)
         length = np.linalg.norm(self.normals, axis=1, keepdims=True)
@@ -151,14 +158,15 @@ class SkinTable:
         length = np.linalg.norm(quaternions, axis=1)
         row = int(np.argmax(np.abs(length - 1.0)))
         if abs(length[row] - 1.0) > FRAME_TOLERANCE:
-            what = f"{name}, taxel line {row + 1}: the quaternion must have unit norm"
-            raise SkinError(what, value=f"{length[row]:.4g}", limit=f"1 within {FRAME_TOLERANCE:g}")
+            what = f"{name}, taxel line {row + 1}: the frame must be a rotation"
+            value, limit = f"quaternion of norm {length[row]:.4g}", f"1 within {FRAME_TOLERANCE:g}"
+            raise damaged(what, value, limit)
         rotation = Rotation.from_quat(quaternions).as_matrix()
         off = np.linalg.norm(rotation[:, :, 2] - self.normals, axis=1)
         row = int(np.argmax(off))
         if off[row] > FRAME_TOLERANCE:
             what = f"{name}, taxel line {row + 1}: normal and quaternion disagree"
-            raise SkinError(what, value=f"{off[row]:.3g}", limit=f"{FRAME_TOLERANCE:g}")
+            raise damaged(what, f"{off[row]:.3g}", f"{FRAME_TOLERANCE:g}")
         return np.asarray(rotation)
 
 
@@ -186,6 +194,32 @@ class SkinRows:
         return [repr(x) if np.isfinite(x) else "" for x in np.asarray(self.sigmas, float).tolist()]
 
 
+def damaged(
+    where: str, value: object = None, limit: object = None, remedy: str = "correct it there"
+) -> SkinError:
+    """The error for a file that cannot be read; `where` names the file, and the place in it."""
+    return SkinError(where, value=value, limit=limit, remedy=remedy)
+
+
+def parse_id(text: str, where: str, kind: type[np.signedinteger[Any]] = np.int64) -> int:
+    """The id of a taxel or module. Raises SkinError for a text that is not an integer of `kind`."""
+    try:
+        return int(kind(int(text)))
+    except (ValueError, OverflowError) as error:
+        limit = f"an integer of {np.iinfo(kind).bits} bits"
+        raise damaged(f"{where}: id", repr(text[:40]), limit) from error
+
+
+def check_ids(ids: Ids, kind: str, least: int, most: int) -> None:
+    """Raise SkinError unless all ids (n,) are in the range that a format can hold."""
+    for worst in (int(ids.min()), int(ids.max())):
+        if not least <= worst <= most:
+            raise SkinError(
+                f"a taxel id does not fit a {kind} file", value=worst, limit=f"{least} to {most}",
+                remedy="write another format, or number the taxels anew",
+            )  # fmt: skip
+
+
 def parse_sigmas(texts: Sequence[str | None], where: str) -> Array | None:
     """Sigmas (n,), m, of texts, NaN for empty ones; None where all are. Raises SkinError."""
     if not any(texts):
@@ -198,9 +232,9 @@ def parse_numbers(fields: list[str], count: int, where: str, limit: str | None =
     try:
         values = np.array([float(field) for field in fields])
     except ValueError as error:
-        raise SkinError(where, value=str(error)) from error
+        raise damaged(where, error) from error
     if len(values) != count:
-        raise SkinError(where, value=f"{len(values)} numbers", limit=limit or f"{count} numbers")
+        raise damaged(where, f"{len(values)} numbers", limit or f"{count} numbers")
     return values
 
 
@@ -217,14 +251,15 @@ def pose_of(element: ET.Element | None, where: str) -> Array:
 
 
 def named_parts(
-    elements: Iterable[ET.Element], suffix: str = ""
+    elements: Iterable[ET.Element], where: str, suffix: str = ""
 ) -> dict[str, list[tuple[int, ET.Element]]]:
     """The ids and elements of the names `<part>_skin_<id>`, by part; suffix: expression of what may
-    follow in a name."""
+    follow in a name. Raises SkinError for an id that is too large; `where` names the file."""
     found: dict[str, list[tuple[int, ET.Element]]] = {}
     for element in elements:
-        if match := re.fullmatch(rf"(.+)_skin_(\d+){suffix}", element.get("name", "")):
-            found.setdefault(match[1], []).append((int(match[2]), element))
+        if match := re.fullmatch(TAXEL_NAME + suffix, element.get("name", "")):
+            one = parse_id(match[2], where), element
+            found.setdefault(match[1], []).append(one)
     return found
 
 
@@ -236,7 +271,7 @@ def chosen_part(part: str | None, parts: Mapping[str, object], name: str) -> str
         raise SkinError(
             f"{name} has several parts" if part is None else f"{name} has no part {part!r}",
             limit=", ".join(parts),
-            remedy="choose one with part= (--part)",
+            remedy="choose one with part= (--part of lint and diff), or give a file of one",
         )
     return part
 

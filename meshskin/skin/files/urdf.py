@@ -13,12 +13,12 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from ...core import se3
-from ...core.errors import SkinError
 from .table import (
     DISC_RADIUS,
     SkinRows,
     SkinTable,
     chosen_part,
+    damaged,
     named_parts,
     number_text,
     parse_numbers,
@@ -77,13 +77,15 @@ def write(rows: SkinRows) -> str:
 
 def read(robot: ET.Element, name: str, part: str | None = None) -> SkinTable:
     """The frames of one part (None: the only one) in the frame of its link. Raises SkinError."""
-    frames = named_parts(robot.findall("joint[@type='fixed']"), "(?:_fixed_joint|_joint)?")
+    frames = named_parts(robot.findall("joint[@type='fixed']"), name, "(?:_fixed_joint|_joint)?")
     if not frames:
-        raise SkinError(f"{name} has no skin", limit="fixed joints <part>_skin_<id>")
+        raise damaged(f"{name} has no skin", limit="fixed joints <part>_skin_<id>")
     part = chosen_part(part, frames, name)
     ids, joints = zip(*frames[part], strict=True)
     poses = [pose_of(j.find("origin"), f"{name}: joint {j.get('name')!r}") for j in joints]
-    disc = robot.find(f"link[@name='{part}_skin_{ids[0]}']/visual/geometry/cylinder")
+    links = {link.get("name"): link for link in robot.findall("link")}
+    link = links.get(f"{part}_skin_{ids[0]}")
+    disc = None if link is None else link.find("visual/geometry/cylinder")
     sigmas, parent = parse_sigmas([sigma_of(j) for j in joints], name), joints[0].find("parent")
     frame = None if parent is None else parent.get("link")
     return SkinTable.of_poses("urdf", ids, np.array(poses), radius_of(disc, name), sigmas, frame)

@@ -14,14 +14,15 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from ...core import se3
-from ...core.errors import SkinError
 from .table import (
     DISC_RADIUS,
     SkinRows,
     SkinTable,
+    check_ids,
     chosen_part,
+    damaged,
     number_text,
-    parse_numbers,
+    parse_id,
     parse_sigmas,
     pose_of,
 )
@@ -33,7 +34,11 @@ examples of urdf_tactile."""
 
 
 def write(rows: SkinRows) -> str:
-    """Text with one sensor on `rows.link`, its channel named alike; exact to rounding."""
+    """Text with one sensor on `rows.link`, its channel named alike; exact to rounding.
+
+    Raises SkinError for a negative id: `idx` is an index.
+    """
+    check_ids(rows.ids, "urdf_tactile", 0, np.iinfo(np.int64).max)
     robot, part = base(rows), rows.link
     sensor = ET.SubElement(robot, "sensor", name=f"{part}_skin", update_rate=str(UPDATE_RATE))
     ET.SubElement(sensor, "parent", link=part)
@@ -68,10 +73,9 @@ def read(robot: ET.Element, name: str, part: str | None = None) -> SkinTable:
     ids, poses, sigmas, radius = [], [], [], DISC_RADIUS
     for taxel in sensor.findall("tactile/taxel"):
         where = f"{name}: taxel {taxel.get('idx')!r}"
-        index = parse_numbers([taxel.get("idx", "")], 1, where)[0]
-        if index != int(index) or index < 0:
-            raise SkinError(where, value=index, limit="a whole number from 0 on")
-        ids.append(int(index))
+        ids.append(parse_id(taxel.get("idx", ""), where))
+        if ids[-1] < 0:
+            raise damaged(where, limit="an index, from 0 on")
         sigmas.append(sigma_of(taxel))
         poses.append(mount @ pose_of(taxel, where))
         if (disc := taxel.find("geometry/cylinder")) is not None:

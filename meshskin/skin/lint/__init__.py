@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...core.errors import SkinError
 from .. import files
 from ..files.table import SkinTable
 from ..skin import Skin
@@ -28,9 +29,12 @@ CHECKS: tuple[Callable[[SkinTable], Iterator[Defect]], ...] = (
 def lint(skin: Skin | str | Path, part: str | None = None) -> tuple[Defect, ...]:
     """The defects of a skin, or of a skin file; empty if there are none.
 
-    `part` chooses one of the skins of a URDF. Raises SkinError where a file cannot be read.
+    `part` chooses one of the skins of a URDF or MJCF file. Raises SkinError where a file cannot be
+    read, and for a part of anything else.
     """
     if isinstance(skin, Skin):
+        if part is not None:
+            raise SkinError("part= chooses a skin of a file", value=part, remedy="leave it out")
         table = SkinTable("skin", skin.ids, skin.positions, np.nan_to_num(skin.normals))
     else:
         table = files.read(skin, part)

@@ -68,4 +68,4 @@ def distinct_rows(points: Array) -> NDArray[np.intp]:
 def module_rows(ids: NDArray[np.int64]) -> list[NDArray[np.intp]]:
     """Rows of the taxels of each module."""
     order = np.argsort(ids, kind="stable")
-    return [order[rows] for rows in rows_by_key(slots.module(ids[order]))]
+    return [order[rows] for rows in rows_by_key(slots.module(ids[order])) if len(rows)]

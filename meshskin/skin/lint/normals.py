@@ -91,8 +91,9 @@ def flipped(table: SkinTable) -> Iterator[Defect]:
     """Normals opposite to those of the neighbours, and modules seen from the wrong side."""
     rows = located(table)
     length = np.linalg.norm(rows.normals, axis=1)
-    rows = rows.take(length > 0.0)
-    n = rows.normals / length[length > 0.0, None]
+    given = (length > 0.0) & np.isfinite(length)
+    rows = rows.take(given)
+    n = rows.normals / length[given, None]
     if len(n) > NEIGHBOURS:
         _, near = KDTree(rows.positions).query(rows.positions, k=NEIGHBOURS + 1)
         against = np.einsum("ij,ikj->ik", n, n[near[:, 1:]]).max(axis=1) < -0.5
