@@ -62,7 +62,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with _interruptions() as interrupted, _rare_collections(), warnings.catch_warnings():
         warnings.showwarning = _note
         try:
-            options = _parser().parse_args(arguments)
+            try:
+                options = _parser().parse_args(arguments)
+            except SystemExit as ended:  # after --help or --version, or a wrong command line
+                return int(ended.code or 0)
             code = int(options.command(options))
             sys.stdout.flush()
             if not interrupted:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..core.errors import ConfigError
 from . import body_options
+from .options import real, refuse
 
 if TYPE_CHECKING:
     from ..scene.belief import Belief
@@ -39,6 +40,9 @@ NUMBERS = {
     "--saturation-kpa": "upper end of the sensor's range",
 }
 """Options that are numbers."""
+POSITIVE = real(above=0.0)
+LIMITS = {"--poisson": real(least=0.0, most=0.5), "--threshold-kpa": real(least=0.0)}
+"""Types of those that may be zero."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +61,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     body_options.add(known)
     for name, words in NUMBERS.items():
         unit = name.rpartition("-")[2].upper()
-        known.add_argument(name, type=float, metavar=unit, help=words)
+        known.add_argument(name, type=LIMITS.get(name, POSITIVE), metavar=unit, help=words)
     known.add_argument(
         "--raw",
         action="store_true",
@@ -156,31 +160,24 @@ def _check_raw(options: argparse.Namespace) -> None:
     """Refuse options that mean nothing for raw readings."""
     from ..contact import AUTO, LEARNED
 
-    given = [name for name in PRESSURE_OPTIONS if getattr(options, name) is not None]
-    given += ["contact"] if options.contact not in (None, AUTO, LEARNED) else []
-    given += ["modules"] if options.modules else []
-    if given:
-        names = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        raise ConfigError(
-            "raw readings have no unit, and their response is learned for independent taxels",
-            value=f"{names} together with --raw",
-            remedy="remove it: noise, threshold and saturation follow from the readings",
-        )
+    contact = ["contact"] if options.contact not in (None, AUTO, LEARNED) else []
+    refuse(
+        options,
+        [*PRESSURE_OPTIONS, *contact, "modules"],
+        "raw readings have no unit, and their response is learned for independent taxels, got {} "
+        "together with --raw",
+        "remove it: noise, threshold and saturation follow from the readings",
+    )
 
 
 def _by_scene(options: argparse.Namespace) -> Belief:
     """The belief of the scene named by --scene."""
     from ..scene.scene import Scene
 
-    given = [name for name in SCENE_OPTIONS if getattr(options, name) is not None]
-    if getattr(options, "export", None) is not None and "link" in given:
-        given.remove("link")  # it names the frame of the map
-    if given:
-        names = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        raise ConfigError(
-            "--scene gives body, indenter and material", value=f"{names} together with --scene",
-            remedy="remove either --scene or the other options",
-        )  # fmt: skip
+    exported = getattr(options, "export", None) is not None  # --link names the frame of the map
+    names = [name for name in SCENE_OPTIONS if not (exported and name == "link")]
+    what = "--scene gives body, indenter and material, got {} together with --scene"
+    refuse(options, names, what, "remove either --scene or the other options")
     return Scene.load(options.scene).belief()
 
 

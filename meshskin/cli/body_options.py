@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import ConfigError, MeshError
+from .options import refuse
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -112,11 +113,8 @@ def _check(path: Path, options: argparse.Namespace) -> None:
             remedy="give the URDF file, or leave --link out",
         )
     if mesh or options.link is None:
-        for name in ("folder", "link_mesh"):
-            if getattr(options, name) is not None:
-                raise ConfigError(
-                    f"--{name.replace('_', '-')} is for a URDF file", remedy="give --link, too"
-                )
+        names = ("folder", "link_mesh")
+        refuse(options, names, "{} is for a URDF file", "give --link, too")
         if path.suffix.lower() == ".urdf":
             raise ConfigError(f"{path.name} is a URDF file", remedy="name one of its links: --link")
     elif options.units is not None:

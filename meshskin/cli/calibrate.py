@@ -27,6 +27,7 @@ from . import belief_options, export_options, log_options
 from .belief_options import belief_of
 from .export_options import Export
 from .log_options import CORRECTED, FromLog, from_log
+from .options import integer, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -56,11 +57,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--method", default="joint", help="estimator: joint (default), posegraph, ..."
     )
     parser.add_argument(
-        "--iterations", type=int, metavar="N", help="iteration limit of the joint estimate"
+        "--iterations", type=integer(1), metavar="N", help="iteration limit of the joint estimate"
     )
     parser.add_argument(
-        "--cross-validate", type=int, metavar="FOLDS", help="hold out contacts in FOLDS folds and "
-        "localize them by the skin calibrated on the others: one more calibration per fold",
+        "--cross-validate", type=integer(2), metavar="FOLDS", help="hold out contacts in FOLDS "
+        "folds and localize them by the skin calibrated on the others: a calibration per fold",
     )  # fmt: skip
     export_options.add(parser)
     parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
@@ -78,34 +79,35 @@ def command(options: argparse.Namespace) -> int:
 
 
 def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple[Calibration, str]:
-    """The calibration, whose results are written, and the summary."""
+    """The calibration, whose results are written once all are there, and the summary."""
     from ..core.atomic_io import check_folder, remove_results, write_json
     from ..core.provenance import provenance
     from ..estimation.calibrate import calibrate
 
+    _check(options)
     export = Export.of(options)
     clock = perf_counter()
-    given = recorded(options) if options.map is None else from_log(options, progress)
-    recording, belief = given.recording, given.belief
+    loaded = recorded(options) if options.map is None else None
     check_folder(options.out)
+    given = loaded or from_log(options, progress)
+    recording, belief = given.recording, given.belief
     limit = {} if options.iterations is None else {"iterations": options.iterations}
     found = given.found or calibrate(
         recording, belief, method=options.method, progress=progress, **limit
     )
+    validation, folds = None, options.cross_validate
+    if folds is not None:
+        validation = found.cross_validate(recording, folds, belief, progress)
+    metrics = assess(found, recording) | {"inputs": belief_options.inputs(options)}
     remove_results(options.out)
     found.save(options.out / "calibration")
-    if given.robot is not None:
-        given.robot.save(options.out / CORRECTED)
-    mount = None if given.joints is None else given.joints.mount
-    exported = [] if export is None else [export.write(found, mount)]
-    metrics = assess(found, recording) | {"inputs": belief_options.inputs(options)}
     if options.map is not None:
         recording.save(options.out / "recording")
+    if given.robot is not None:
+        given.robot.save(options.out / CORRECTED)
     if given.joints is not None:
         metrics["kinematics"] = given.joints.metrics()
-    validation = None
-    if options.cross_validate is not None:
-        validation = found.cross_validate(recording, options.cross_validate, belief, progress)
+    if validation is not None:
         metrics["cross_validation"] = validation.metrics()
         validation.save(options.out / HELD_OUT)
     found.report(
@@ -120,13 +122,29 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
     )
     metrics["seconds"] = {**found.seconds, "all": perf_counter() - clock}
     write_json(options.out / "metrics.json", metrics)
+    mount = None if given.joints is None else given.joints.mount
+    exported = [] if export is None else [export.write(found, mount)]
     return found, "\n".join([summary(found, metrics, options.out), *exported, *given.lines])
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Raise ConfigError for a method that does not exist, and for options that it has not."""
+    from ..core.arguments import check_name
+    from ..estimation.calibrate import METHODS
+
+    check_name("method", options.method, tuple(METHODS))
+    if options.method != "joint":
+        refuse(options, ("iterations",), f"{{}} is not for the method {options.method}")
+    if options.indenter_mm is not None:
+        refuse(options, ("iterations",), "{} is not for contacts from joint angles")
 
 
 def recorded(options: argparse.Namespace) -> FromLog:
     """The recording in two tables, and the belief about it."""
     from ..recording.recording import Recording
 
+    remedy = "give --map, too, or leave it out"
+    refuse(options, log_options.NAMES, "{} is for a robot's log", remedy)
     recording = Recording.load(options.recording)
     every = recording.metadata.get("taxel_ids") or np.unique(recording.reading_taxel)
     return FromLog(recording, belief_of(options, every), [])

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core.errors import MeshError, OutputError
 from . import body_options
+from .options import real, refuse
 
 if TYPE_CHECKING:
     from ..geometry.mesh.check import Finding, MeshCheck
@@ -22,6 +23,8 @@ COLOURS = {"refused": "#c62828", "noted": "#ef6c00", "repaired": "#1565c0"}
 SIZES = {"refused": 5.0, "noted": 4.0, "repaired": 1.5}
 """Marker sizes by verdict, points."""
 PICTURES = (".png", ".pdf", ".svg")
+FORCE = 3.0
+"""Force of the contacts, N, as in the paper."""
 DRAWN = 20_000
 """Largest number of faces, and of points of one finding, that a drawing shows."""
 
@@ -37,12 +40,14 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="say what indenters of these radii reach of the visible surface, and recommend one",
     )
     parser.add_argument(
-        "--force-n", type=float, default=3.0, help="force of these contacts (default 3)"
+        "--force-n", type=real(above=0.0), help=f"force of these contacts (default {FORCE:g})"
     )
-    parser.add_argument("--young-kpa", type=float, help="Young's modulus of the skin (default 200)")
+    parser.add_argument(
+        "--young-kpa", type=real(above=0.0), help="Young's modulus of the skin (default 200)"
+    )
     parser.add_argument(
         "--skin-mm",
-        type=float,
+        type=real(above=0.0),
         help="press the surface of a skin of this thickness, which bridges small features (slower)",
     )
     parser.add_argument(
@@ -62,6 +67,9 @@ def command(options: argparse.Namespace) -> int:
         raise OutputError(
             "unknown suffix of a drawing", value=kind, limit=f".html, {', '.join(PICTURES)}"
         )
+    if options.indenter_radius_mm is None:
+        names, what = ("force_n", "young_kpa", "skin_mm"), "{} is for contacts of an indenter"
+        refuse(options, names, what, "give --indenter-radius-mm, too")
     given = options.units
     why = body_options.settle_units(options.mesh, options)
     raw = body_options.triangles(options.mesh, options)
@@ -98,7 +106,7 @@ def command(options: argparse.Namespace) -> int:
 
 def radii(text: str) -> tuple[float, ...]:
     """Radii in m of a list in mm, separated by commas."""
-    return tuple(1e-3 * float(part) for part in text.split(","))
+    return tuple(1e-3 * real(above=0.0)(part) for part in text.split(","))
 
 
 def indenters(options: argparse.Namespace) -> None:
@@ -110,7 +118,7 @@ def indenters(options: argparse.Namespace) -> None:
     found = reach(
         body_options.load(options.mesh, options),
         options.indenter_radius_mm,
-        force=options.force_n,
+        force=FORCE if options.force_n is None else options.force_n,
         material=None if young is None else Material(young=1e3 * young),
         skin=None if options.skin_mm is None else 1e-3 * options.skin_mm,
     )

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .options import integer
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder for page and figure",
     )
-    parser.add_argument("--seeds", type=int, default=1, help="seeds per setting (default 1)")
+    parser.add_argument("--seeds", type=integer(1), help="seeds per setting (default 1)")
     parser.add_argument(
         "--knobs",
         nargs="+",
@@ -51,7 +52,7 @@ def command(options: argparse.Namespace) -> int:
         costs = cost(
             scene,
             knobs=KNOBS if options.knobs is None else options.knobs,
-            seeds=max(options.seeds, 3) if options.full else options.seeds,
+            seeds=options.seeds or (3 if options.full else 1),
             finer=8 if options.full else 4,
             progress=progress,
         )

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.errors import ConfigError
+from .options import integer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,7 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all", action="store_true", help="print long lists in full")
     parser.add_argument(
         "--worst",
-        type=int,
+        type=integer(0),
         default=10,
         metavar="N",
         help="number of worst taxels to list (default 10)",

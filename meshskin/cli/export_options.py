@@ -12,6 +12,7 @@ import numpy as np
 from ..core.errors import ConfigError
 from ..core.se3 import from_rpy, transform
 from . import body_options
+from .options import real, refuse
 
 if TYPE_CHECKING:
     from ..core.arrays import Array
@@ -36,7 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--export-format", metavar="FORMAT", help="whatever the suffix: urdf_tactile"
     )
     export.add_argument(
-        "--transform", type=float, nargs=6, metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),
+        "--transform", type=real(), nargs=6, metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),
         help="pose (m, rad) of the mesh in the frame of --link, as the origin of a visual in a "
         "URDF: the map is written in that frame",
     )  # fmt: skip
@@ -67,11 +68,8 @@ class Export:
         from ..skin.files import FORMATS, check_format
 
         if options.export is None:
-            for name in ("transform", "parent", "export_format"):
-                if getattr(options, name) is not None:
-                    raise ConfigError(
-                        f"--{name.replace('_', '-')} is for an exported map", remedy="give --export"
-                    )
+            names = ("transform", "parent", "export_format")
+            refuse(options, names, "{} is for an exported map", "give --export")
             return None
         path, name = options.export, str(options.export).lower()
         kind = (options.export_format or path.suffix.lstrip(".") or name).lower()

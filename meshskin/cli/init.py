@@ -18,6 +18,7 @@ import numpy as np
 
 from ..core.errors import ConfigError, MeshError, SkinError
 from . import body_options
+from .options import refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -67,6 +68,8 @@ def command(options: argparse.Namespace) -> int:
         )
     if out.exists():
         raise ConfigError(f"{out} exists already", remedy="give another --out, or remove it")
+    if not is_body:
+        refuse(options, body_options.NAMES, f"{{}} is for a mesh, got {file.name}")
     text, run = scene(options, out) if is_body else log_map(file, out)
     write_text(out, text)
     print(f"{out}: {'scene' if is_body else 'map'} written; edit it, then\n  {run}")

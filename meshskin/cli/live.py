@@ -27,6 +27,7 @@ from ..core.errors import MeshskinError
 from . import belief_options, log_options
 from .calibrate import recorded
 from .log_options import FromLog, from_log
+from .options import integer, real
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 HOST, PORT = "127.0.0.1", 8080
 """Where the page is served by default: to this machine alone, as it asks for no password; the port
 is viser's own default."""
+PAGE = {"speed": 1.0, "target_mm": 0.1, "host": HOST, "port": PORT, "no_browser": False}
+"""Options of the page, with their defaults."""
 AWAY = 5.0
 """Time without a browser, s, after which the page counts as closed; a reload takes less."""
 LOOK = 0.2
@@ -60,19 +63,17 @@ def add(parser: argparse.ArgumentParser) -> None:
 def add_page(group: argparse._ArgumentGroup) -> None:
     """Add the options of the page."""
     group.add_argument(
-        "--speed", type=float, default=1.0, metavar="X", help="times real time (default 1)"
+        "--speed", type=real(above=0.0), metavar="X", help="times real time (default 1)"
     )
     group.add_argument(
-        "--target-mm", type=float, default=0.1, metavar="MM", help="standard deviation of a "
+        "--target-mm", type=real(above=0.0), metavar="MM", help="standard deviation of a "
         'taxel\'s position at which the verdict is "done" (default 0.1)',
     )  # fmt: skip
     group.add_argument(
-        "--host", default=HOST, help=f"address that the page is served at (default {HOST}: to this "
+        "--host", help=f"address that the page is served at (default {HOST}: to this "
         "machine only; there is no password)",
     )  # fmt: skip
-    group.add_argument(
-        "--port", type=int, default=PORT, help=f"port (default {PORT}; 0: any free one)"
-    )
+    group.add_argument("--port", type=integer(0), help=f"port (default {PORT}; 0: any free one)")
     group.add_argument("--no-browser", action="store_true", help="open no browser")
 
 
@@ -157,11 +158,11 @@ class LiveView(AbstractContextManager["LiveView"]):
         from ..report.live.page import check_port, import_viser
         from ..report.live.panel import SPEEDS
 
+        given = {k: v for k in PAGE if (v := getattr(options, k)) is not None}
+        self.options = options = argparse.Namespace(**vars(options) | PAGE | given)
         import_viser()
         check_port(options.host, options.port)
         check_real("--speed", options.speed, least=SPEEDS[0], most=SPEEDS[1])
-        check_real("--target-mm", options.target_mm, "mm", above=0.0)
-        self.options = options
         self.page: LivePage | None = None
 
     def __exit__(self, *_: object) -> None:

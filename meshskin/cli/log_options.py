@@ -15,6 +15,7 @@ from ..core.arguments import check_name
 from ..core.errors import ConfigError
 from .belief_options import belief_of
 from .log import add_scan, summary
+from .options import real, refuse
 
 if TYPE_CHECKING:
     from ..core.progress import Progress
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 JOINT_OPTIONS = ("carrier", "robot_unknown")
 """Options that only joint angles need."""
+NAMES = ("scan", "indenter_mm", *JOINT_OPTIONS)
+"""Options that mean nothing without --map."""
 CORRECTED = "corrected.urdf"
 """File of the robot with what was estimated of it."""
 
@@ -42,7 +45,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_scan(log)
     log.add_argument(
-        "--indenter-mm", type=float, nargs=3, metavar=("X", "Y", "Z"), help="centre of the "
+        "--indenter-mm", type=real(), nargs=3, metavar=("X", "Y", "Z"), help="centre of the "
         "indenter; contacts then follow from the joint angles of the robot of --urdf and --link",
     )  # fmt: skip
     log.add_argument(
@@ -102,13 +105,9 @@ def from_log(options: argparse.Namespace, progress: Progress | None) -> FromLog:
 
 def _check(options: argparse.Namespace) -> None:
     """Raise ConfigError for options that miss others."""
-    given = [name for name in JOINT_OPTIONS if getattr(options, name) is not None]
-    if given and options.indenter_mm is None:
-        raise ConfigError(
-            "contacts from joint angles need the indenter",
-            value=", ".join(f"--{name.replace('_', '-')}" for name in given),
-            remedy="give --indenter-mm, or leave these options out",
-        )
+    if options.indenter_mm is None:
+        what = "contacts from joint angles need the indenter, got {}"
+        refuse(options, JOINT_OPTIONS, what, "give --indenter-mm, or leave these options out")
     if options.indenter_mm is not None and (options.body is None or options.link is None):
         raise ConfigError(
             "contacts from joint angles need a robot", remedy="give --urdf FILE and --link LINK"

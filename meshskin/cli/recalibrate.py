@@ -13,16 +13,23 @@ Exit code 0: no change was found; 1: there are changes; 2: bad input.
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ..core.errors import CalibrationError, ConfigError
 from . import belief_options
 from .diff import saved_calibration
+from .options import integer, real, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
     from ..estimation.calibration import Calibration
     from ..estimation.recalibrate.touch_design import TouchDesign
+    from ..recording.recording import Recording
+    from ..scene.belief import Belief
     from ..skin.skin import Skin
 
 CHANGED = 1
@@ -39,15 +46,19 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
     )
     parser.add_argument(
-        "--touches", type=int, default=20, metavar="K", help="touches to plan (default 20)"
+        "--touches", type=integer(1), default=20, metavar="K", help="touches to plan (default 20)"
     )
     parser.add_argument(
-        "--false-alarm", type=float, metavar="P", help="probability, at most, that any change is "
-        "found where there is none (default 0.01)",
+        "--force-n", type=real(above=0.0), metavar="N", help="force of the planned touches "
+        "(default: that of --scene, or the median of RECORDING)",
     )  # fmt: skip
     parser.add_argument(
-        "--map-sigma-mm", type=float, metavar="MM", help="standard deviation of the taxels' places "
-        "in a map that states none (default 0.3)",
+        "--false-alarm", type=real(above=0.0, most=0.5), metavar="P", help="probability, at most, "
+        "that any change is found where there is none (default 0.01)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--map-sigma-mm", type=real(above=0.0), metavar="MM", help="standard deviation of the "
+        "taxels' places in a map that states none (default 0.3)",
     )  # fmt: skip
     parser.add_argument("--all", action="store_true", help="print long lists in full")
     belief_options.add(parser)
@@ -60,12 +71,17 @@ def command(options: argparse.Namespace) -> int:
     from ..estimation.recalibrate.touch_design import next_touches
     from ..recording.recording import Recording
 
+    if options.recording is None:
+        names = ("false_alarm", "map_sigma_mm", "all")
+        refuse(options, names, "{} is for the test of a map", "give RECORDING, too")
     previous = earlier_map(options.previous)
     belief = belief_options.belief_of(options, previous.ids)
+    recording = None if options.recording is None else Recording.load(options.recording)
+    planning = replace(belief, force_reference=_force(options, belief, recording))
     check_folder(options.out)
-    if options.recording is None:
+    if recording is None:
         with bar(quiet=False) as progress:
-            design = next_touches(previous, belief, options.touches, progress=progress)
+            design = next_touches(previous, planning, options.touches, progress=progress)
         save(design, options.out / "touches.csv")
         print(f"{options.touches} touches to test the map: {options.out / 'touches.csv'}")
         return 0
@@ -76,18 +92,32 @@ def command(options: argparse.Namespace) -> int:
     with bar(quiet=False) as progress:
         found = recalibrate(
             previous,
-            Recording.load(options.recording),
+            recording,
             belief,
             progress=progress,
             **{name: value for name, value in changes.items() if value is not None},
         )
-        if belief.force_reference is not None:
-            design = found.next_contacts(options.touches, belief, progress)
+        found.calibration.save(options.out / "calibration")
+        write_json(options.out / "recalibration.json", found.metrics())
+        lines = found.lines(None) if options.all else found.lines()
+        try:
+            design = found.next_contacts(options.touches, planning, progress)
             save(design, options.out / "touches.csv")
-    found.calibration.save(options.out / "calibration")
-    write_json(options.out / "recalibration.json", found.metrics())
-    print("\n".join(found.lines(None) if options.all else found.lines()))
+        except CalibrationError as error:
+            lines.append(f"no touches are planned: {error}")
+    print("\n".join(lines))
     return CHANGED if found.findings else 0
+
+
+def _force(options: argparse.Namespace, belief: Belief, recording: Recording | None) -> float:
+    """The force, N, of the touches that are planned. Raises ConfigError where nothing says it."""
+    if options.force_n is not None:
+        return float(options.force_n)
+    if belief.force_reference is not None:
+        return belief.force_reference
+    if recording is None:
+        raise ConfigError("touches are planned for a force", remedy="give --force-n")
+    return float(np.median(recording.force))
 
 
 def earlier_map(path: Path) -> Calibration | Skin:

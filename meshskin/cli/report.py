@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import CalibrationError, ConfigError, GraphError, MeshskinError
 from . import body_options
 from .calibrate import HELD_OUT
+from .options import refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder with the results")
+    parser.add_argument("results", type=Path, metavar="FOLDER", help="folder with the results")
     parser.add_argument("--scene", help="name or file of the scene that was run")
     parser.add_argument("--recording", type=Path, help="recorded log that was calibrated")
     parser.add_argument("--body", type=Path, metavar="MESH", help="mesh of the body")
@@ -39,7 +40,9 @@ def command(options: argparse.Namespace) -> int:
     from ..estimation.calibration import Calibration
     from ..estimation.cross_validation import CrossValidation
 
-    folder = options.folder
+    if options.body is None:
+        refuse(options, body_options.NAMES, "{} is for a mesh", "give --body, too")
+    folder = options.results
     found = Calibration.load(folder / "calibration")
     metrics = _metrics(folder)
     inputs: dict[str, Any] = metrics.get("inputs", {})
@@ -54,7 +57,8 @@ def command(options: argparse.Namespace) -> int:
 
     scene = attempt("scene", lambda: _scene(options, inputs))
     recording = attempt("recording", lambda: _recording(options, metrics))
-    body = scene.body if scene is not None else attempt("body", lambda: _body(options, inputs))
+    own = scene is not None and options.body is None
+    body = scene.body if own else attempt("body", lambda: _body(options, inputs))
     validation = None
     if "cross_validation" in metrics:
         validation = attempt("held out", lambda: CrossValidation.load(folder / HELD_OUT))
@@ -107,7 +111,7 @@ def _recording(options: argparse.Namespace, metrics: dict[str, Any]) -> Recordin
     from ..recording.recording_files import part_path
 
     inputs = metrics.get("inputs", {})
-    own = options.folder / "recording"
+    own = options.results / "recording"
     paths = [own] if part_path(own, "contacts").exists() else []
     paths += [inputs["recording"]] if "recording" in inputs else []
     paths = paths if options.recording is None else [options.recording]

@@ -8,9 +8,9 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.errors import ConfigError
 from . import live
 from .calibrate import certainty, response_lines
+from .options import integer, real, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="seed of all random streams (default 0)"
+        "--seed", type=integer(0), default=0, help="seed of all random streams (default 0)"
     )
     request = parser.add_mutually_exclusive_group()
     for name, metavar, words in (
@@ -41,7 +41,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         ("--seconds", "S", "choose the most accurate settings that take at most this time"),
         ("--budget-mm", "MM", "leave out effects that move the taxels by less than this"),
     ):
-        request.add_argument(name, type=float, metavar=metavar, help=words)
+        request.add_argument(name, type=real(above=0.0), metavar=metavar, help=words)
     parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
     page = parser.add_argument_group("a page in the browser")
     page.add_argument(
@@ -54,12 +54,11 @@ def add(parser: argparse.ArgumentParser) -> None:
 def command(options: argparse.Namespace) -> int:
     """Run the scene and print the summary."""
     if not options.live:
+        remedy = "give --live, too, or leave it out"
+        refuse(options, live.PAGE, "{} is for a page in the browser", remedy)
         return _run(options)
-    if options.seconds is not None:
-        raise ConfigError(
-            "the replay of a live view has its own time", value="--live together with --seconds",
-            remedy="leave one of them out",
-        )  # fmt: skip
+    what = "the replay of a live view has its own time, got --live together with {}"
+    refuse(options, ("seconds",), what, "leave one of them out")
     with live.LiveView(options) as view:
         code = _run(options, view.watch)
         view.finish(f"the results are in {options.out / 'report.html'}")

@@ -10,6 +10,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .options import integer
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -29,7 +30,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
     )
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=int, metavar="N", help="processes (default: every core)")
+    where.add_argument(
+        "--workers", type=integer(1), metavar="N", help="processes (default: every core)"
+    )
     where.add_argument(
         "--scheduler", metavar="URL", help="address of a Dask scheduler, tcp://host:port"
     )

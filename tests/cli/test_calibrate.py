@@ -118,8 +118,11 @@ def test_a_recording_with_a_scene(recording, tmp_path, capsys):
         (["--scene", "sphere_noisy", "--contact", "hertzian"], "hertzian"),
         (["--scene", "sphere_noisy", "--response-groups", "48-x"], "write each group as 48-95"),
         (["--scene", "sphere_noisy", "--response-groups", "0-9", "9"], "must be unique, got 9"),
-        (["--scene", "sphere_noisy", "--noise-kpa", "-1"], "belief.noise_sigma is out of range"),
-        (["--scene", "sphere_noisy", "--disc-radius-mm", "0"], "belief.disc_radius is out of"),
+        (["--scene", "sphere_noisy", "--noise-kpa", "-1"], "--noise-kpa: the number is out of"),
+        (
+            ["--scene", "sphere_noisy", "--disc-radius-mm", "0"],
+            "--disc-radius-mm: the number is out",
+        ),
         (
             ["--scene", "sphere_noisy", "--units", "mm"],
             "got --units together with --scene; remove either",
@@ -127,6 +130,26 @@ def test_a_recording_with_a_scene(recording, tmp_path, capsys):
         (["--scene", "sphere_noisy", "--open"], "got --open together with --scene; remove either"),
         (["--scene", "sphere_noisy", "--link-mesh", "visual"], "got --link-mesh together"),
         (["--scene", "sphere_noisy", "--export", "map.xyz"], "format of a skin file"),
+        (
+            ["--scene", "sphere_noisy", "--method", "centroid", "--iterations", "3"],
+            "--iterations is not for the method centroid; leave it out",
+        ),
+        (["--scene", "sphere_noisy", "--scan"], "--scan is for a robot's log; give --map, too"),
+        (
+            ["--scene", "sphere_noisy", "--indenter-mm", "0", "0", "0"],
+            "--indenter-mm is for a robot's log; give --map, too",
+        ),
+        (["--scene", "sphere_noisy", "--cross-validate", "1"], "got 1, limit: at least 2"),
+        (
+            ["--scene", "sphere_noisy", "--method", "eq15", "--cross-validate", "5000", "--quiet"],
+            "too few blocks of contacts",
+        ),
+        (["--scene", "sphere_noisy", "--iterations", "0"], "got 0, limit: at least 1"),
+        (
+            ["--scene", "sphere_noisy", "--export", "csv", "--link", "palm", "--transform"]
+            + ["nan"] * 6,
+            "--transform: the number must be a finite number, got nan",
+        ),
     ],
 )
 def test_what_cannot_be_calibrated(log, tmp_path, capsys, monkeypatch, options, words):
@@ -135,7 +158,7 @@ def test_what_cannot_be_calibrated(log, tmp_path, capsys, monkeypatch, options, 
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert words in lines[0]
-    assert not (tmp_path / "out" / "calibration.parquet").exists()
+    assert not list((tmp_path / "out").glob("*"))
 
 
 @pytest.mark.usefixtures("no_figures")

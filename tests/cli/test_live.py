@@ -83,6 +83,8 @@ def test_control_c_ends_as_elsewhere(log, viewer, monkeypatch, capsys):
         (["live", "x", "--port", "0", "--speed", "0"], "--speed"),
         (["live", "x", "--port", "70000"], "cannot be served"),
         (["live", "no_such_log", "--port", "0", "--scene", "sphere"], "no recording"),
+        (["live", "x", "--port", "0", "--speed", "99"], "--speed is out of range, got 99"),
+        (["run", "sphere", "--out", "o", "--speed", "2", "--no-browser"], "--speed, --no-browser"),
         (["run", "sphere", "--out", "o", "--live", "--seconds", "9"], "--live together"),
     ],
 )

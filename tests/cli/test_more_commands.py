@@ -1,6 +1,7 @@
 """`meshskin effects`, `init`, `report` and `scenes --show`, as a user meets them."""
 
 import json
+import re
 import shutil
 import tomllib
 from dataclasses import replace
@@ -130,6 +131,8 @@ def test_init_says_that_a_log_needs_no_map(tmp_path, monkeypatch, capsys):
     assert "needs no map" in said
     assert "meshskin calibrate log" in said
     assert not (tmp_path / "log_map.toml").exists()
+    assert cli.main(["init", "log", "--units", "mm"]) == 2
+    assert "--units is for a mesh, got log; leave it out" in capsys.readouterr().err
 
 
 def test_init_says_what_a_log_lacks(tmp_path, monkeypatch):
@@ -183,6 +186,12 @@ def test_the_page_gets_what_the_folder_and_its_inputs_hold(folder, capsys, monke
     assert given["body"] is None
     assert given["recording"] is not None
     assert cli.main(["report", str(folder / "figures")]) == 2
+    capsys.readouterr()
+    assert cli.main(["report", str(folder), "--units", "mm"]) == 2
+    assert "--units is for a mesh; give --body, too" in capsys.readouterr().err
+    robot = ["--body", str(folder / "toy.urdf"), "--link", "palm", "--folder", str(folder)]
+    assert cli.main(["report", str(folder), *robot]) == 0
+    assert re.search("left out         body: .*toy.urdf", capsys.readouterr().out)
 
 
 def test_the_page_gets_the_recording_that_was_calibrated(folder, tmp_path, capsys, monkeypatch):

@@ -49,6 +49,39 @@ def test_touches_are_planned_without_a_recording(files, capsys):
     assert "3 touches" in capsys.readouterr().out
 
 
+def test_a_force_is_given_or_that_of_the_touches(files, tmp_path, capsys):
+    """A belief of options has no reference force."""
+    scene, out = ms.Scene.load("sphere_noisy"), tmp_path / "out"
+    scene.body.mesh.export(tmp_path / "ball.stl")
+    known = ["--body", tmp_path / "ball.stl", "--units", "m", "--young-kpa", "200", "--out", out]
+    known += ["--indenter-radius-mm", "10", "--noise-kpa", "0.5", "--touches", "2"]
+    asked = ["recalibrate", *map(str, (files / "map.csv", *known))]
+    assert cli.main(asked) == 2
+    assert "planned for a force; give --force-n" in capsys.readouterr().err
+    assert not out.exists()
+    assert cli.main([*asked, "--force-n", "3"]) == 0
+    assert len((out / "touches.csv").read_text().splitlines()) == 3
+    (out / "touches.csv").unlink()
+    assert cli.main([*asked[:2], str(files / "touches"), *asked[2:]]) == 1
+    assert len((out / "touches.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--false-alarm", "0.1", "--all"], "--false-alarm, --all is for the test of a map"),
+        (["--false-alarm", "0.9"], "limit: at most 0.5"),
+        (["--touches", "0"], "limit: at least 1"),
+        (["--force-n", "nan"], "must be a finite number"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(files, capsys, options, words):
+    given = [files / "map.csv", "--scene", "sphere_noisy", "--out", files / "never"]
+    assert cli.main(["recalibrate", *map(str, given), *options]) == 2
+    assert words in capsys.readouterr().err
+    assert not (files / "never").exists()
+
+
 def test_a_map_that_is_not_there(files, capsys):
     given = [files / "nothing.csv", "--scene", "sphere_noisy", "--out", files / "out"]
     assert cli.main(["recalibrate", *map(str, given)]) == 2

@@ -104,6 +104,7 @@ def test_diff_lists_the_worst_taxels(arm, tmp_path, capsys):
 
 def test_diff_of_what_cannot_be_read(arm, tmp_path, capsys):
     arm.save(tmp_path / "a.csv")
+    assert "--worst" in fails(capsys, "diff", *2 * [tmp_path / "a.csv"], "--worst", "-3")
     assert "nowhere" in fails(capsys, "diff", tmp_path / "a.csv", tmp_path / "nowhere")
 
 

@@ -247,8 +247,9 @@ def test_indenters_are_compared(ball, tmp_path, capsys):
     assert "indenter  4 mm reaches 100% with 1 N or less" in out
     assert "recommended: 8 mm reaches 100%, as with 4 mm" in out
     assert out.rstrip().endswith("can be a body")
-    assert cli.main([*line, "4,0"]) == 2
-    assert "radius of an indenter" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        cli.main([*line, "4;8"])
-    assert "argument --indenter-radius-mm" in capsys.readouterr().err
+    for wrong in ("4,0", "4;8"):
+        assert cli.main([*line, wrong]) == 2
+        assert "argument --indenter-radius-mm" in capsys.readouterr().err
+    assert cli.main([*line[:-1], "--force-n", "1", "--skin-mm", "2"]) == 2
+    said = "--force-n, --skin-mm is for contacts of an indenter; give --indenter-radius-mm, too"
+    assert said in capsys.readouterr().err

@@ -1,0 +1,55 @@
+"""What options of all commands share: numbers in a range, and which of them were given."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable
+
+from ..core.arguments import check_real
+from ..core.errors import ConfigError
+
+
+def real(
+    *, above: float | None = None, least: float | None = None, most: float | None = None
+) -> Callable[[str], float]:
+    """The type of an option that is a finite number in a range: it is checked before the command
+    begins."""
+
+    def convert(text: str) -> float:
+        try:
+            return check_real("the number", float(text), above=above, least=least, most=most)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number") from error
+        except ConfigError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
+
+    return convert
+
+
+def integer(least: int) -> Callable[[str], int]:
+    """The type of an option that is an integer of at least `least`."""
+    in_range = real(least=least)
+
+    def convert(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(f"{text!r} is not an integer") from error
+        in_range(text)
+        return value
+
+    return convert
+
+
+def given(options: argparse.Namespace, names: Iterable[str]) -> str:
+    """Those of the options that were given, as on the command line; "" for none."""
+    found = [name for name in names if getattr(options, name, None) not in (None, False, [])]
+    return ", ".join(f"--{name.replace('_', '-')}" for name in found)
+
+
+def refuse(
+    options: argparse.Namespace, names: Iterable[str], what: str, remedy: str = "leave it out"
+) -> None:
+    """Raise ConfigError where one of the options was given; `what` is wrong, {} those given."""
+    if found := given(options, names):
+        raise ConfigError(what.replace("{}", found), remedy=remedy)
