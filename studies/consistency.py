@@ -22,7 +22,6 @@ seeds; --first: the first seed; --out: folder of a figure of all quantities in t
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections import defaultdict
 from collections.abc import Callable
@@ -37,6 +36,7 @@ from scipy.stats import chi2
 
 import meshskin as ms
 from meshskin.core import se3
+from meshskin.core.atomic_io import write_json
 from meshskin.effects.body_pose import BodyPose
 from meshskin.effects.force_sensor import ForceSensor
 from meshskin.effects.gain_offset import GainOffset
@@ -401,7 +401,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
     print(f"{outside} of {len(every)} outside their 95 % bands, {0.05 * len(every):.1f} by chance")
     print(f"beyond chance{':' if out else ': none'}", *out, sep="\n  ")
     if options.json:
-        options.json.write_text(json.dumps(found, indent=2))
+        write_json(options.json, found)
     if options.out:
         draw(found, options.out)
     return found

@@ -23,7 +23,6 @@ taxel is not identified. --full: 20 seeds.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -33,6 +32,7 @@ import pyarrow as pa
 from dots import dots
 
 import meshskin as ms
+from meshskin.core.atomic_io import write_json
 from meshskin.estimation import chart
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint.joint_estimator import JointEstimator
@@ -268,7 +268,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
                   f"{r['accused']:9.1f}{r['lost']:6.1f}", flush=True)  # fmt: skip
     print(*shortfalls(rows), sep="\n")
     if options.json:
-        options.json.write_text(json.dumps(rows, indent=2))
+        write_json(options.json, rows)
     if options.out:
         draw(rows, options.out)
     return rows

@@ -25,6 +25,7 @@ import pyarrow as pa
 from dots import dots
 
 import meshskin as ms
+from meshskin.core.atomic_io import atomic
 from meshskin.core.errors import MeshskinError
 from meshskin.report import theme
 
@@ -173,9 +174,9 @@ def main(arguments: list[str] | None = None) -> list[dict[str, Any]]:
             belief = replace(belief, noise_sigma=None)
         rows.append(row(scene, name, LOGS[name](sound) if name in LOGS else sound, belief))
         print(line(rows[-1]), flush=True)
-    options.out.mkdir(parents=True, exist_ok=True)
     names = ("log", "error_mm", "sigma_mm", "learned", "verdict", "reason", "seconds")
-    with (options.out / "wrong_logs.csv").open("w", newline="", encoding="utf-8") as file:
+    path = options.out / "wrong_logs.csv"
+    with atomic(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, names)
         table.writeheader()
         table.writerows(rows)
