@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 from dots import dots
 from scipy.stats import chi2
 
@@ -188,7 +187,8 @@ def study(case: Case, seeds: range) -> dict[str, dict[str, float]]:
         if case.draw is not None:
             world, drawn = case.draw(case.world, np.random.default_rng(seed))
             truth = truth | drawn
-        recording = scaled(ms.press(world, points, force, spin, seed), case.recorded_force)
+        pressed = ms.press(world, points, force, spin, seed)
+        recording = pressed.with_columns(force=case.recorded_force * pressed.force)
         found = ms.calibrate(recording, belief)
         for name, part in (
             pose_squares(found, world.skin, belief, seed)
@@ -295,13 +295,6 @@ def random_mounting(scene: ms.Scene, rng: np.random.Generator) -> tuple[ms.Scene
     middle = skin.poses.reshape(*own.shape[:2], 4, 4)[:, 0] @ se3.inverse(own[:, 0])
     poses = (middle @ move)[:, None] @ own
     return scene.with_(skin=ms.Skin(poses.reshape(-1, 4, 4), skin.ids, skin.disc_radius)), {}
-
-
-def scaled(recording: ms.Recording, factor: float) -> ms.Recording:
-    """The recording with forces as another sensor says them."""
-    place = recording.contacts.column_names.index("force")
-    table = recording.contacts.set_column(place, "force", pa.array(factor * recording.force))
-    return replace(recording, contacts=table)
 
 
 def design_effect(parts: list[np.ndarray]) -> float:

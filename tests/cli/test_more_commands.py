@@ -201,7 +201,7 @@ def test_the_page_gets_the_recording_that_was_calibrated(folder, tmp_path, capsy
     out, log = tmp_path / "out", tmp_path / "log"
     shutil.copytree(folder, out)
     earlier = ms.Recording.load(out)
-    later = replace(earlier, contacts=earlier.contacts.set_column(7, "force", [earlier.force + 1]))
+    later = earlier.with_columns(force=earlier.force + 1)
     later.save(log)
     metrics = {"inputs": {"recording": str(log)}, "recording_digest": later.digest}
     (out / "metrics.json").write_text(json.dumps(metrics))
