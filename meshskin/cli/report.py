@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import CalibrationError, ConfigError, GraphError, MeshskinError
 from . import body_options
-from .calibrate import HELD_OUT
+from .calibrate import HELD_OUT, row
 from .options import refuse
 from .progress_bar import bar
 
@@ -76,7 +76,7 @@ def command(options: argparse.Namespace) -> int:
     if not options.quiet:
         print(f"{folder / 'report.html'}: written again")
         for line in missing:
-            print(f"  left out         {line}")
+            print(row("left out", line))
     return 0
 
 
