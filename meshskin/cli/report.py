@@ -52,6 +52,8 @@ def command(options: argparse.Namespace) -> int:
         try:
             return make()
         except MeshskinError as error:
+            if getattr(options, what, None) is not None:  # what was asked for is not left out
+                raise
             missing.append(f"{what}: {error}")
             return None
 

@@ -67,8 +67,11 @@ def check_folder(folder: Path) -> None:
 def check_writable(path: Path) -> None:
     """Check, before any work, that a file can be written. Raises OutputError."""
     probe = path.with_name(f"{path.name}.probe")
-    with atomic(probe):
-        pass
+    try:
+        with atomic(probe):
+            pass
+    except OutputError as error:
+        raise OutputError(f"cannot write {path}", value=error.value, remedy=error.remedy) from error
     probe.unlink()
 
 

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from meshskin.core.atomic_io import atomic, write_json
+from meshskin.core.atomic_io import atomic, check_folder, write_json
 from meshskin.core.errors import OutputError
 
 
@@ -48,3 +48,9 @@ def test_numbers_of_numpy_are_written(tmp_path):
     assert json.loads((tmp_path / "x.json").read_text()) == {
         "3": 2, "b": [0.5, None], "c": True, "d": [[1.0, None]], "e": [[0, 1], "text", None],
     }  # fmt: skip
+
+
+def test_a_folder_that_cannot_be_written_is_named_without_the_probe(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match=r"cannot write .*file/metrics.json, got"):
+        check_folder(tmp_path / "file")
