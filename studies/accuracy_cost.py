@@ -14,7 +14,6 @@ anew).
 from __future__ import annotations
 
 import argparse
-import json
 import pickle
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
@@ -25,7 +24,7 @@ from typing import Any, TypedDict, TypeVar
 import meshskin as ms
 from meshskin import pipeline
 from meshskin.cli.cost import summary
-from meshskin.core.atomic_io import atomic
+from meshskin.core.atomic_io import atomic, write_json
 from meshskin.core.errors import StudyError
 from meshskin.report import precision, theme
 from meshskin.scene import shipped_scenes
@@ -94,7 +93,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     if asked:
         print_requests(numbers["requests"])
     if options.json:
-        options.json.write_text(json.dumps(numbers, indent=2))
+        write_json(options.json, numbers)
     return numbers
 
 

@@ -14,7 +14,6 @@ which the test of fit rejects the model. With --out, it draws these errors.
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +21,7 @@ import numpy as np
 from dots import dots
 
 import meshskin as ms
+from meshskin.core.atomic_io import write_json
 from meshskin.core.errors import MeshskinError
 from meshskin.effects.indenter_offset import IndenterOffset
 from meshskin.estimation.uncertainty import metrics
@@ -124,7 +124,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
         cells = (f"{r[k]:11.2f}{r[k + '_refused']:9.0%}" for k in ("wrong", "declared"))
         print(f"  {name:32}" + "".join(cells) + f"{r['centroid']:10.2f}{r['bound_mm']:14.4f}")
     if options.json:
-        options.json.write_text(json.dumps(rows, indent=2))
+        write_json(options.json, rows)
     if options.out:
         kinds = {"as believed": "wrong", "with the unknown declared": "declared"}
         kinds["centroid"] = "centroid"

@@ -29,7 +29,7 @@ import numpy as np
 
 import meshskin as ms
 from meshskin import effects
-from meshskin.core.atomic_io import write_text
+from meshskin.core.atomic_io import write_json
 from meshskin.core.errors import ReachError
 from meshskin.estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from meshskin.exploration.path import Path as Way
@@ -93,7 +93,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
         rows[scene.name] = before.get(scene.name) or measure_scene(scene, options.budget_mm * 1e-3)
         print(row_text(scene.name, rows[scene.name]), flush=True)
         if options.json:
-            write_text(options.json, json.dumps(before | rows, indent=2))
+            write_json(options.json, before | rows)
     ratio = np.array([r["estimate_mm"] / max(r["true_mm"], 1e-12) for r in rows.values()])
     within = np.mean((ratio > 0.5) & (ratio < 2.0))
     worst = max(r["true_mm"] for r in rows.values()) / options.budget_mm

@@ -22,7 +22,6 @@ seeds; --first: the first seed; --out: folder of a figure of all quantities in t
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections import defaultdict
 from collections.abc import Callable
@@ -31,12 +30,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 from dots import dots
 from scipy.stats import chi2
 
 import meshskin as ms
 from meshskin.core import se3
+from meshskin.core.atomic_io import write_json
 from meshskin.effects.body_pose import BodyPose
 from meshskin.effects.force_sensor import ForceSensor
 from meshskin.effects.gain_offset import GainOffset
@@ -188,7 +187,8 @@ def study(case: Case, seeds: range) -> dict[str, dict[str, float]]:
         if case.draw is not None:
             world, drawn = case.draw(case.world, np.random.default_rng(seed))
             truth = truth | drawn
-        recording = scaled(ms.press(world, points, force, spin, seed), case.recorded_force)
+        pressed = ms.press(world, points, force, spin, seed)
+        recording = pressed.with_columns(force=case.recorded_force * pressed.force)
         found = ms.calibrate(recording, belief)
         for name, part in (
             pose_squares(found, world.skin, belief, seed)
@@ -297,13 +297,6 @@ def random_mounting(scene: ms.Scene, rng: np.random.Generator) -> tuple[ms.Scene
     return scene.with_(skin=ms.Skin(poses.reshape(-1, 4, 4), skin.ids, skin.disc_radius)), {}
 
 
-def scaled(recording: ms.Recording, factor: float) -> ms.Recording:
-    """The recording with forces as another sensor says them."""
-    place = recording.contacts.column_names.index("force")
-    table = recording.contacts.set_column(place, "force", pa.array(factor * recording.force))
-    return replace(recording, contacts=table)
-
-
 def design_effect(parts: list[np.ndarray]) -> float:
     """Variance of the seeds' mean squares over that of independent ones; no less than 1.
 
@@ -401,7 +394,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
     print(f"{outside} of {len(every)} outside their 95 % bands, {0.05 * len(every):.1f} by chance")
     print(f"beyond chance{':' if out else ': none'}", *out, sep="\n  ")
     if options.json:
-        options.json.write_text(json.dumps(found, indent=2))
+        write_json(options.json, found)
     if options.out:
         draw(found, options.out)
     return found

@@ -20,7 +20,6 @@ up to that of both.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
@@ -30,6 +29,7 @@ import numpy as np
 
 import meshskin as ms
 from meshskin import effects
+from meshskin.core.atomic_io import write_json
 from meshskin.estimation import chart
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint import fault_detection
@@ -100,7 +100,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
         rows |= pair_rows(scene, chosen, plain, single, seeds[:1])
         theme.save(draw_excesses(rows, list(chosen)), options.out, "effect_pairs")
     if options.json:
-        options.json.write_text(json.dumps(rows, indent=2))
+        write_json(options.json, rows)
     return rows
 
 

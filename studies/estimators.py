@@ -19,7 +19,6 @@ to that.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +29,7 @@ import numpy as np
 
 import meshskin as ms
 from meshskin.core import se3
+from meshskin.core.atomic_io import write_json
 from meshskin.core.errors import MeshskinError
 from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.estimation import chart
@@ -291,7 +291,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
         found["size"] = by_size(seeds, sizes)
     theme.save(draw(found), options.out, "estimators")
     if options.json:
-        options.json.write_text(json.dumps(found, indent=2))
+        write_json(options.json, found)
     return found
 
 

@@ -19,7 +19,6 @@ closed loop with the arm.
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,6 +28,7 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 import meshskin as ms
+from meshskin.core.atomic_io import write_json
 from meshskin.estimation.adaptive import adapt
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
@@ -79,7 +79,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
         rows["closed loop"] = through_the_loop(ms.Scene.load(options.scene))
     theme.save(draw_curves(curves), options.out, "exploration")
     if options.json:
-        options.json.write_text(json.dumps(rows, indent=2))
+        write_json(options.json, rows)
     return rows
 
 

@@ -39,6 +39,7 @@ from worlds.edge import Edge, EdgeSample
 from worlds.world import Sample, World, record
 
 import meshskin as ms
+from meshskin.core.atomic_io import atomic
 from meshskin.core.errors import CalibrationError, MeshskinError
 from meshskin.estimation.centroid import centroids
 from meshskin.report import theme
@@ -213,7 +214,7 @@ def worse_than_baseline(found: Mapping[str, Mapping[str, float]]) -> list[str]:
 
 def write_csv(found: Mapping[str, Mapping[str, float]], path: Path) -> None:
     """The rows with all their numbers."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with atomic(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         names = list(next(iter(found.values())))
         writer.writerow(["world", *names])
@@ -273,7 +274,6 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
         refused |= {f"{name}: {METHODS[method]} refused": why for method, why in reasons.items()}
     print(*(f"{what}: {why}" for what, why in refused.items()), sep="\n")
     print(*worse_than_baseline(found), sep="\n")
-    options.out.mkdir(parents=True, exist_ok=True)
     write_csv(found, options.out / "foreign_worlds.csv")
     theme.save(draw(found), options.out, "foreign_worlds")
     return found

@@ -20,6 +20,7 @@ import numpy as np
 from meshskin import contact
 from meshskin.contact import ContactProblem, boundary_elements, layered
 from meshskin.contact.array_backend import chebyshev_nodes
+from meshskin.core.atomic_io import write_text
 
 CASE: dict = {"force": 1.0, "indenter_radius": 0.01, "modulus": 1e6}
 
@@ -37,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for poisson in ratios:
             values = factors(float(chi), float(poisson), options.cells)
             lines.append(",".join(f"{v:.8g}" for v in (chi, poisson, *values)))
-    options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(options.out, "\n".join(lines) + "\n")
 
 
 def factors(chi: float, poisson: float, cells: int = 192) -> tuple[float, ...]:

@@ -21,7 +21,6 @@ the rows written to link_meshes.jsonl in --out, where a repeated call continues.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -36,6 +35,7 @@ import link_meshes
 import numpy as np
 
 import meshskin as ms
+from meshskin.core.atomic_io import write_json
 from meshskin.estimation.uncertainty import metrics
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
@@ -71,8 +71,7 @@ def main() -> int:
         row, maps[name] = measure_body(name, options.data, options.full)
         rows.append(row)
         print(row_text(row), flush=True)
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "real_bodies.json").write_text(json.dumps(rows, indent=2) + "\n")
+    write_json(options.out / "real_bodies.json", rows)
     draw_bodies(maps, options.out)
     good = all(row["ratio"] <= BOUND for row in rows)
     if options.full:

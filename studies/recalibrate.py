@@ -94,13 +94,10 @@ def on_readings(
     import pyarrow as pa
 
     taxel = int(rng.choice(touched))
-    table = recording.readings
-    pressure = table["pressure"].to_numpy().copy()
-    mine = table["taxel"].to_numpy() == taxel
-    pressure[mine] *= factor
-    table = table.set_column(2, "pressure", pa.array(pressure))
-    threshold = recording.metadata["threshold_pa"]
-    return replace(recording, readings=table.filter(pa.array(pressure > threshold))), taxel
+    pressure = recording.pressure * np.where(recording.reading_taxel == taxel, factor, 1.0)
+    readings = recording.with_columns(pressure=pressure).readings
+    above = pa.array(pressure > recording.metadata["threshold_pa"])
+    return replace(recording, readings=readings.filter(above)), taxel
 
 
 CHANGES = {"nothing": unchanged, "turned": turned, "exchanged": exchanged, "moved 2 mm": moved}
@@ -142,16 +139,11 @@ def trial(
 
 def displaced(recording: ms.Recording, body: ms.Body, rng: np.random.Generator) -> ms.Recording:
     """The recording with contact points 0.3 mm off along each tangent."""
-    import pyarrow as pa
-
     basis = se3.orthonormal_basis(recording.normals)[:, :, :2]
     points = recording.points + np.einsum(
         "mij,mj->mi", basis, 0.3e-3 * rng.standard_normal((len(basis), 2))
     )
-    table = recording.contacts
-    for name, column in zip(("px", "py", "pz"), body.closest(points).point.T, strict=True):
-        table = table.set_column(table.column_names.index(name), name, pa.array(column))
-    return replace(recording, contacts=table)
+    return recording.with_columns(points=body.closest(points).point)
 
 
 def _module(change: Named) -> int:

@@ -23,7 +23,6 @@ taxel is not identified. --full: 20 seeds.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -33,6 +32,7 @@ import pyarrow as pa
 from dots import dots
 
 import meshskin as ms
+from meshskin.core.atomic_io import write_json
 from meshskin.estimation import chart
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint.joint_estimator import JointEstimator
@@ -139,7 +139,7 @@ def outlying(world: World, share: float, seeds: range, part: float = 1.0) -> dic
         own = np.isin(sound.reading_taxel, world.skin.ids[struck])
         hit = own & (rng.random(len(own)) < share)
         wild = rng.uniform(THRESHOLD, WILD, len(hit)) * world.peak
-        bent = with_pressures(sound, np.where(hit, wild, sound.pressure))
+        bent = sound.with_columns(pressure=np.where(hit, wild, sound.pressure))
         clean, _ = world.errors(sound)
         error, found = world.errors(bent)
         without = without_readings(world, sound, hit)
@@ -192,12 +192,6 @@ def without_readings(world: World, recording: ms.Recording, hit: np.ndarray) -> 
     run = JointEstimator(data, live, places, np.where(hit, 0.0, 1.0), MAX_ITERATIONS)
     run.converge()
     return np.linalg.norm(run.problem.points(run.state) - world.skin.positions, axis=1)
-
-
-def with_pressures(recording: ms.Recording, pressure: np.ndarray) -> ms.Recording:
-    """The recording with other pressures (k,), Pa."""
-    table = recording.readings.set_column(2, "pressure", pa.array(pressure))
-    return ms.Recording(recording.contacts, table, recording.metadata)
 
 
 def faulty(world: World, fault: Fault, count: int, seeds: range) -> dict[str, float]:
@@ -268,7 +262,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
                   f"{r['accused']:9.1f}{r['lost']:6.1f}", flush=True)  # fmt: skip
     print(*shortfalls(rows), sep="\n")
     if options.json:
-        options.json.write_text(json.dumps(rows, indent=2))
+        write_json(options.json, rows)
     if options.out:
         draw(rows, options.out)
     return rows

@@ -13,7 +13,6 @@ are pressed together), and, for thin layers, that of a calibration that assumes 
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import meshskin as ms
+from meshskin.core.atomic_io import write_json
 from meshskin.core.errors import MeshskinError
 from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.estimation.uncertainty import metrics
@@ -69,7 +69,7 @@ def main(arguments: list[str] | None = None) -> dict[str, list[dict[str, float]]
         print_rows(name, rows[name], seeds)
     theme.save(draw_curves(rows), options.out, "skin_design")
     if options.json:
-        options.json.write_text(json.dumps(rows, indent=2))
+        write_json(options.json, rows)
     return rows
 
 

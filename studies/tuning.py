@@ -15,7 +15,6 @@ at once, the corners of E*, curvature and friction, each of them simulated (tuni
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 
 import meshskin as ms
+from meshskin.core.atomic_io import write_json
 from meshskin.report import theme
 from meshskin.simulation.response import ForceResponse, force_response
 from meshskin.tuning.gains import Gains
@@ -74,7 +74,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     if options.full:
         found["corners"] = tune_corners(first, distance, options.out)
     if options.json:
-        options.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
+        write_json(options.json, found)
     return found
 
 

@@ -25,6 +25,7 @@ import pyarrow as pa
 from dots import dots
 
 import meshskin as ms
+from meshskin.core.atomic_io import atomic
 from meshskin.core.errors import MeshskinError
 from meshskin.report import theme
 
@@ -44,31 +45,15 @@ def press(scene: ms.Scene, seed: int) -> ms.Recording:
     return ms.Recording(made.contacts, made.readings, {})
 
 
-def with_points(recording: ms.Recording, points: np.ndarray) -> ms.Recording:
-    """The recording with other contact points (m, 3), m."""
-    contacts = recording.contacts
-    for name, values in zip(("px", "py", "pz"), points.T, strict=True):
-        contacts = contacts.set_column(contacts.column_names.index(name), name, pa.array(values))
-    return ms.Recording(contacts, recording.readings, {})
-
-
-def with_pressures(recording: ms.Recording, pressure: np.ndarray) -> ms.Recording:
-    """The recording with other pressures (k,), Pa."""
-    table = recording.readings
-    index = table.column_names.index("pressure")
-    table = table.set_column(index, "pressure", pa.array(pressure))
-    return ms.Recording(recording.contacts, table, {})
-
-
 def scaled(factor: float) -> Log:
     """Pressures times a factor."""
-    return lambda log: with_pressures(log, factor * log.pressure)
+    return lambda log: log.with_columns(pressure=factor * log.pressure)
 
 
 def moved(outward: float = 0.0, aside: float = 0.0) -> Log:
     """Contact points moved along the normals and along x, m."""
     x = np.array([1.0, 0.0, 0.0])
-    return lambda log: with_points(log, log.points + outward * log.normals + aside * x)
+    return lambda log: log.with_columns(points=log.points + outward * log.normals + aside * x)
 
 
 def rescaled(factor: float) -> Log:
@@ -76,7 +61,7 @@ def rescaled(factor: float) -> Log:
 
     def made(log: ms.Recording) -> ms.Recording:
         middle = log.points.mean(axis=0)
-        return with_points(log, middle + factor * (log.points - middle))
+        return log.with_columns(points=middle + factor * (log.points - middle))
 
     return made
 
@@ -86,7 +71,7 @@ def mounted_anew(aside: float) -> Log:
 
     def made(log: ms.Recording) -> ms.Recording:
         late = np.arange(len(log.points)) >= len(log.points) // 2
-        return with_points(log, log.points + np.outer(late, [aside, 0.0, 0.0]))
+        return log.with_columns(points=log.points + np.outer(late, [aside, 0.0, 0.0]))
 
     return made
 
@@ -109,7 +94,7 @@ def corrupt(log: ms.Recording) -> ms.Recording:
     """One reading at 38 times the largest."""
     pressure = log.pressure.copy()
     pressure[len(pressure) // 2] = 38 * pressure.max()
-    return with_pressures(log, pressure)
+    return log.with_columns(pressure=pressure)
 
 
 LOGS: dict[str, Log] = {
@@ -124,7 +109,7 @@ LOGS: dict[str, Log] = {
     "contact points 1 mm aside": moved(aside=1e-3),
     "contact points times 1.01": rescaled(1.01),
     "body mounted anew, 0.5 mm aside": mounted_anew(0.5e-3),
-    "all pressures equal": lambda log: with_pressures(log, np.full(len(log.pressure), 2e4)),
+    "all pressures equal": lambda log: log.with_columns(pressure=np.full(len(log.pressure), 2e4)),
     "one reading at 38 times the largest": corrupt,
 }
 """Logs with one mistake each."""
@@ -173,9 +158,9 @@ def main(arguments: list[str] | None = None) -> list[dict[str, Any]]:
             belief = replace(belief, noise_sigma=None)
         rows.append(row(scene, name, LOGS[name](sound) if name in LOGS else sound, belief))
         print(line(rows[-1]), flush=True)
-    options.out.mkdir(parents=True, exist_ok=True)
     names = ("log", "error_mm", "sigma_mm", "learned", "verdict", "reason", "seconds")
-    with (options.out / "wrong_logs.csv").open("w", newline="", encoding="utf-8") as file:
+    path = options.out / "wrong_logs.csv"
+    with atomic(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, names)
         table.writeheader()
         table.writerows(rows)

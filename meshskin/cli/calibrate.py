@@ -197,11 +197,9 @@ def faults(found: Calibration) -> dict[str, str]:
     return {str(k): f for k, f in zip(found.ids, found.faults, strict=True) if f}
 
 
-def certainty(found: Calibration) -> str:
-    """Text that follows the value of E* in kPa: its standard deviation, or that it was given."""
-    if found.modulus_sigma is None:
-        return ", given"
-    return f" +- {found.modulus_sigma / 1e3:.2g}"
+def row(name: str, value: object) -> str:
+    """A line of a summary."""
+    return f"  {name:<16} {value}"
 
 
 def response_lines(found: Calibration) -> list[str]:
@@ -209,12 +207,13 @@ def response_lines(found: Calibration) -> list[str]:
     if found.response is None:
         return []
     words = found.response.describe()
-    return ["  response         learned with the taxels", *(f"    {text}" for text in words)]
+    return [row("response", "learned with the taxels"), *(f"    {text}" for text in words)]
 
 
 def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
     """The text that the command prints."""
     from ..estimation.cross_validation import held_out_in_words
+    from ..report.words import modulus_words
 
     lines = [
         *([str(found.verdict)] if found.verdict is not None else []),
@@ -224,27 +223,25 @@ def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
     ]
     if metrics["sigma_mm"]:
         spread = metrics["sigma_mm"]
-        lines.append(f"  sigma            mean {spread['mean']:.4g} mm, max {spread['max']:.4g}")
+        lines.append(row("sigma", f"mean {spread['mean']:.4g} mm, max {spread['max']:.4g}"))
     if found.modulus is not None:
-        lines.append(f"  E*               {found.modulus / 1e3:.4g} kPa{certainty(found)}")
+        lines.append(row("E*", modulus_words(found, "+-")))
     for name, words in found.parameter_words().items():
         if name not in ("modulus", "contact_scatter", "force_scatter"):
-            lines.append(f"  {name:<16} {words}")
+            lines.append(row(name, words))
     lines += response_lines(found)
     if "gain" in found.taxel_unknowns:
         gains = found.taxel_unknowns["gain"][:, 0]
-        lines.append(f"  gains            {100 * np.nanstd(gains):.2g} % apart (1 sigma)")
+        lines.append(row("gains", f"{100 * np.nanstd(gains):.2g} % apart (1 sigma)"))
     if found.fit is not None:
-        lines.append(f"  test of fit      {found.fit.words}")
+        lines.append(row("test of fit", found.fit.words))
     if "cross_validation" in metrics:
-        lines.append(f"  held out         {held_out_in_words(metrics['cross_validation'])}")
-    lines.append(f"  not determined   {metrics['undetermined']}")
+        lines.append(row("held out", held_out_in_words(metrics["cross_validation"])))
+    lines.append(row("not determined", metrics["undetermined"]))
     lost = Counter(map(str, np.asarray(found.reasons)[~np.isfinite(found.positions).all(axis=1)]))
-    lines += [
-        f"  left out         {n} taxel{'s' * (n > 1)}: {why}" for why, n in lost.most_common()
-    ]
+    lines += [row("left out", f"{n} taxel{'s' * (n > 1)}: {why}") for why, n in lost.most_common()]
     named = list(metrics["faults"].items())
-    lines += [f"  taxel {k:>6}     {words}" for k, words in named[:SHOWN]]
+    lines += [row(f"taxel {k:>6}", words) for k, words in named[:SHOWN]]
     if len(named) > SHOWN:
         lines.append(f"  and {len(named) - SHOWN} more: metrics.json")
-    return "\n".join([*lines, f"  report           {folder / 'report.html'}"])
+    return "\n".join([*lines, row("report", folder / "report.html")])

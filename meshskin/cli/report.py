@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import CalibrationError, ConfigError, GraphError, MeshskinError
 from . import body_options
-from .calibrate import HELD_OUT
+from .calibrate import HELD_OUT, row
 from .options import refuse
 from .progress_bar import bar
 
@@ -52,6 +52,8 @@ def command(options: argparse.Namespace) -> int:
         try:
             return make()
         except MeshskinError as error:
+            if getattr(options, what, None) is not None:  # what was asked for is not left out
+                raise
             missing.append(f"{what}: {error}")
             return None
 
@@ -76,7 +78,7 @@ def command(options: argparse.Namespace) -> int:
     if not options.quiet:
         print(f"{folder / 'report.html'}: written again")
         for line in missing:
-            print(f"  left out         {line}")
+            print(row("left out", line))
     return 0
 
 

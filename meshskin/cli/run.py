@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import live
-from .calibrate import certainty, response_lines
+from .calibrate import response_lines, row
 from .options import integer, real, refuse
 from .progress_bar import bar
 
@@ -98,34 +98,32 @@ def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
 
 def summary(result: Result, folder: Path) -> str:
     """The text that the command prints."""
-    m, calibration = result.metrics, result.calibration
+    from ..report.words import force_notes, modulus_words
+
+    m, calibration, force = result.metrics, result.calibration, result.metrics["force"]
     found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
     lines = [
-        *filter(None, [m["force"].get("departure"), m.get("budget", {}).get("above")]),
+        *filter(None, [force.get("departure"), m.get("budget", {}).get("above")]),
         *([str(calibration.verdict)] if calibration.verdict is not None else []),
         f"{m['scene']}: {found} of {m['taxels']} taxels calibrated from "
         f"{m['readings']} readings in {m['contacts']} contacts",
         *_errors(m),
-        _row("force", _force(m["force"])),
+        row("force", f"{force['mean_n']:.4f} N, {', '.join(force_notes(force))}"),
     ]
     if calibration.modulus is not None:
-        lines.append(_row("E*", f"{calibration.modulus / 1e3:.4g} kPa{certainty(calibration)}"))
+        lines.append(row("E*", modulus_words(calibration, "+-")))
     lines += response_lines(calibration)
     if "promise" in m:
-        lines.append(_row("promised", _promise(m["promise"])))
+        lines.append(row("promised", _promise(m["promise"])))
     lines += _left_out(m, folder, result.recording.metadata.get("unreachable", {}))
-    lines.append(_row("not determined", m["undetermined"]))
+    lines.append(row("not determined", m["undetermined"]))
     if m["steps_per_second"] is not None:
-        lines.append(_row("closed loop", f"{m['steps_per_second']:,.0f} steps/s"))
+        lines.append(row("closed loop", f"{m['steps_per_second']:,.0f} steps/s"))
     else:
-        lines.append(_row("contacts to press", folder / "contacts.csv"))
+        lines.append(row("contacts to press", folder / "contacts.csv"))
     seconds = ", ".join(f"{name} {value:.2f}" for name, value in m["seconds"].items())
-    lines += [_row("seconds", seconds), _row("report", folder / "report.html")]
+    lines += [row("seconds", seconds), row("report", folder / "report.html")]
     return "\n".join(lines)
-
-
-def _row(name: str, value: object) -> str:
-    return f"  {name:<18} {value}"
 
 
 def _errors(m: dict[str, Any]) -> list[str]:
@@ -138,32 +136,16 @@ def _errors(m: dict[str, Any]) -> list[str]:
     means = {method_name(method): m[method]["mean"] for method in METHODS}
     others = [f"{name} " + ("none" if x is None else f"{x:.3g} mm") for name, x in means.items()]
     lines = [
-        _row(
+        row(
             "position error",
             f"mean {error['mean']:.4g} mm, rms {error['rms']:.4g}, max {error['max']:.4g}{limit}",
         ),
-        _row("other methods", "; ".join(others)),
+        row("other methods", "; ".join(others)),
     ]
     if m["worse_than_centroid"]:
         worse = "; ".join(map(method_name, m["worse_than_centroid"]))
-        lines.append(_row("worse than centroid", worse))
+        lines.append(row("worse than centroid", worse))
     return lines
-
-
-def _force(force: dict[str, Any]) -> str:
-    """The contact force against its reference."""
-    lighter = " and ".join(f"{one:g}" for one in force.get("lighter_references_n", ()))
-    scaled = f" (contacts of {lighter} N scaled to it)" if lighter else ""
-    settled = f"settled in {1e3 * force['settling_s']:.0f} ms"
-    if math.isinf(force["settling_s"]):
-        settled = "not settled before the contact point moved"
-    then = f"within {100 * force['disturbance']:.2g} %"
-    if "departure" in force:
-        then = "left its reference: see above"
-    return (
-        f"{force['mean_n']:.4f} N for {force['reference_n']:g} N{scaled}, {settled}, "
-        f"overshoot {100 * force['overshoot']:.1f} %, then {then}"
-    )
 
 
 def _promise(promise: dict[str, Any]) -> str:
@@ -180,10 +162,10 @@ def _promise(promise: dict[str, Any]) -> str:
 def _left_out(m: dict[str, Any], folder: Path, unreachable: dict[str, str]) -> list[str]:
     """Methods and figures that no time was left for, and taxels that were not covered."""
     missing = {"not compared": m["left_out"], "not drawn": m["figures_left_out"]}
-    lines = [_row(k, f"no time for {', '.join(names)}") for k, names in missing.items() if names]
+    lines = [row(k, f"no time for {', '.join(names)}") for k, names in missing.items() if names]
     if lines:
-        lines.append(_row("to add them", f"meshskin report {folder}"))
+        lines.append(row("to add them", f"meshskin report {folder}"))
     counts = "{planned} of {taxels} taxels by the plan, {reached} by the run, {given_up} given up"
-    lines.append(_row("covered", counts.format(taxels=m["taxels"], **m["coverage"])))
+    lines.append(row("covered", counts.format(taxels=m["taxels"], **m["coverage"])))
     reasons = Counter(unreachable.values()).most_common()
-    return lines + [_row("not covered", f"{n} taxel{'s' * (n > 1)}: {why}") for why, n in reasons]
+    return lines + [row("not covered", f"{n} taxel{'s' * (n > 1)}: {why}") for why, n in reasons]

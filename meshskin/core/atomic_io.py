@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .errors import OutputError
 
 RESULTS = (
@@ -31,7 +33,8 @@ def output_error(
 def atomic(path: str | Path) -> Iterator[Path]:
     """Context with a temporary path, renamed to `path` on success and deleted on failure.
 
-    Makes the folder of `path`. Raises OutputError if it cannot be written.
+    Makes the folder of `path`. Raises OutputError if it cannot be written; an error of the body
+    that is not about writing this file, as of reading another one, is raised as it is.
     """
     path = Path(path)
     try:
@@ -48,6 +51,9 @@ def atomic(path: str | Path) -> Iterator[Path]:
         temporary.chmod(0o666 & ~umask)
         os.replace(temporary, path)
     except OSError as error:
+        of_writing = error.errno is not None and error.filename in (None, name, temporary)
+        if not of_writing:
+            raise
         raise output_error(path, error, "free space or choose another --out") from error
     finally:
         temporary.unlink(missing_ok=True)
@@ -61,8 +67,11 @@ def check_folder(folder: Path) -> None:
 def check_writable(path: Path) -> None:
     """Check, before any work, that a file can be written. Raises OutputError."""
     probe = path.with_name(f"{path.name}.probe")
-    with atomic(probe):
-        pass
+    try:
+        with atomic(probe):
+            pass
+    except OutputError as error:
+        raise OutputError(f"cannot write {path}", value=error.value, remedy=error.remedy) from error
     probe.unlink()
 
 
@@ -79,14 +88,17 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_json(path: str | Path, value: Any) -> None:
-    """Write `value` as JSON to `path` atomically, with null for infinite and NaN numbers."""
+    """Write `value` as JSON to `path` atomically, with null for infinite and NaN numbers; numbers
+    and arrays of NumPy are written as numbers and lists."""
     write_text(path, json.dumps(_finite(value), indent=2) + "\n")
 
 
 def _finite(value: Any) -> Any:
-    """`value` with None for infinite and NaN numbers, at any depth."""
+    """`value` of Python's own types, with None for infinite and NaN numbers, at any depth."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if isinstance(value, dict):
-        return {key: _finite(v) for key, v in value.items()}
+        return {k.item() if isinstance(k, np.generic) else k: _finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [_finite(v) for v in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -44,13 +44,19 @@ class ConfigError(MeshskinError):
     """A configuration file or value that cannot be used."""
 
 
+SHOWN = 40
+"""Known names that a message lists: all of the package's own; a URDF has hundreds of links."""
+
+
 class UnknownNameError(ConfigError):
     """A name that does not exist; the message lists the nearest known names."""
 
     def __init__(self, kind: str, name: object, known: Iterable[str], where: str = "") -> None:
         self.known = sorted(known)
         near = difflib.get_close_matches(str(name), self.known, n=3, cutoff=0.5)
-        remedy = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(self.known)}"
+        more = f" and {len(self.known) - SHOWN} more" if len(self.known) > SHOWN else ""
+        listed = f"known: {', '.join(self.known[:SHOWN])}{more}"
+        remedy = f"did you mean {' or '.join(near)}?" if near else listed
         super().__init__(f"unknown {kind} {name!r}{where}", remedy=remedy)
 
 

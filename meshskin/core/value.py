@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from numbers import Number
 from typing import Any
 
 import numpy as np
@@ -26,15 +27,19 @@ class Value:
         return same_content(self, other)
 
     def __hash__(self) -> int:
-        """From the type and from names, numbers and shapes: equal objects have equal hashes."""
-        return hash((type(self), *(_sketch(value) for value in self.__getstate__().values())))
+        """From the type and from texts, numbers and lengths: equal objects have equal hashes."""
+        compared = (f.name for f in dataclasses.fields(self) if f.compare)  # type: ignore[arg-type]
+        return hash((type(self), *(_sketch(getattr(self, name)) for name in compared)))
 
 
 def _sketch(value: Any) -> Any:
-    """What a hash takes of a field: a text, an integer or the shape of an array."""
-    if isinstance(value, np.ndarray):
-        return value.shape
-    return value if isinstance(value, str | int) else None
+    """What a hash takes of a field: a text, a number or a length, which values that `same_content`
+    calls equal have in common: 1 and 1.0, an array and a list."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, str | Number | np.generic):
+        return value if value == value else None  # NaN, which is equal to NaN here
+    return len(value) if isinstance(value, np.ndarray | Mapping | Sequence) else None
 
 
 def same_content(a: Any, b: Any) -> bool:

@@ -175,6 +175,7 @@ class LearnedResponse(Value):
         }
         for name in arrays.keys() & {"levels", "hysteresis", "creep", "references", "alike_parts"}:
             arrays[name] = tuple(map(float, arrays[name]))
+        arrays["taxels"] = np.array(values.get("taxels", ()), dtype=int)
         others = tuple(cls.from_values(other) for other in values.get("others", ()))
         return cls(**{**arrays, "others": others})
 

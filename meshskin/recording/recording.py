@@ -12,16 +12,17 @@ A robot's own log may be two CSV files with the same columns (csv_log.py).
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import ArrayLike
 
 from ..core import arrow
-from ..core.arguments import check_name, repr_short
+from ..core.arguments import check_array, check_name, repr_short
 from ..core.arrays import Array, nearest_rows
 from ..core.errors import RecordingError
 from ..core.notebook import Card, data_frame
@@ -56,6 +57,14 @@ UNCOMPARED = "not compared"
 """Value of "clock" in the metadata where the clock of the skin was not compared with that of the
 contacts."""
 _PARTS = ("contacts", "readings", "motion")
+_COLUMNS = {
+    "time": ("contacts", ("time",)),
+    "points": ("contacts", ("px", "py", "pz")),
+    "normals": ("contacts", ("nx", "ny", "nz")),
+    "force": ("contacts", ("force",)),
+    "pressure": ("readings", ("pressure",)),
+}
+"""Table and columns by the name of a property."""
 
 
 def _column(table: pa.Table, name: str) -> np.ndarray:
@@ -255,6 +264,24 @@ class Recording(Value, Card):
     def pressure(self) -> Array:
         """Pressure of each reading (k,), Pa."""
         return _column(self.readings, "pressure")
+
+    def with_columns(self, **values: ArrayLike) -> Recording:
+        """The recording with other `time` (m,), `points` (m, 3), `normals` (m, 3), `force` (m,) or
+        `pressure` (k,), in the units of these properties.
+
+        Raises UnknownNameError for another name, RecordingError for arrays of another shape.
+        """
+        tables = {"contacts": self.contacts, "readings": self.readings}
+        for name, given in values.items():
+            check_name("column of a recording", name, tuple(_COLUMNS))
+            part, columns = _COLUMNS[name]
+            array = check_array(name, given, error=RecordingError)
+            if array.shape != (shape := np.shape(getattr(self, name))):
+                raise RecordingError(f"wrong shape of {name}", value=array.shape, limit=shape)
+            for column, numbers in zip(columns, array.reshape(-1, len(columns)).T, strict=True):
+                row = tables[part].column_names.index(column)
+                tables[part] = tables[part].set_column(row, column, arrow.column(numbers))
+        return replace(self, **tables)
 
     def save(self, path: str | Path) -> None:
         """Write path.contacts.parquet, path.readings.parquet and path.motion.parquet.

@@ -15,6 +15,7 @@ from .figure_set import ACCURACY_TIME, RESIDUALS
 from .markup import Content, SavedFigure, bullets, paragraphs, saved_figure, table, tile
 from .plane import MM
 from .theme import compact, grouped, significant
+from .words import force_notes, modulus_words
 
 OWN_SECTIONS = (ACCURACY_TIME, RESIDUALS, learned_response.NAME)
 """Figures that have sections of their own."""
@@ -125,20 +126,15 @@ def _numbers(data: ReportData) -> list[str]:
         header = ("position error of", "mean (mm)", "rms (mm)", "max (mm)", "")
         blocks.append(table(header, rows, numeric=(1, 2, 3)))
         if data.worse_than_centroid:
-            words = "; ".join(map(method_name, data.worse_than_centroid))
-            line = f"Mean error above that of the baseline, the centroid: {words}."
+            worse = "; ".join(map(method_name, data.worse_than_centroid))
+            line = f"Mean error above that of the baseline, the centroid: {worse}."
             blocks.append(paragraphs(line))
         if {"eq15", "posegraph_paper"} & set(data.errors):
             blocks.append(paragraphs(PAPER_REFERENCE))
     c = data.calibration
     if c.modulus is not None:
-        value = significant(c.modulus / 1e3, 6)
-        if c.modulus_sigma is None:
-            line = f"Effective modulus E*, given: {value} kPa."
-        else:
-            sigma = significant(c.modulus_sigma / 1e3)
-            line = f"Effective modulus E*, estimated: {value} ± {sigma} (1 sigma) kPa."
-        blocks.append(paragraphs(line))
+        sigma = "" if c.modulus_sigma is None else " (1 sigma)"
+        blocks.append(paragraphs(f"Effective modulus E*: {modulus_words(c)}{sigma}."))
     rows = [row for row in c.parameter_words("±").items() if row[0] != "modulus"]
     if rows:
         blocks.append(table(("estimated with the taxels", "value ± 1 sigma"), rows, numeric=(1,)))
@@ -189,11 +185,11 @@ def _accuracy_time(data: ReportData, pictures: Sequence[SavedFigure]) -> list[st
             text += f"; the mean error is {significant(data.main_errors['mean'])} mm"
         blocks.append(paragraphs(f"{text}."))
     if left_out := data.metrics.get("left_out"):
-        words = ", ".join(map(method_name, left_out))
-        blocks.append(paragraphs(f"Not compared, because there was no time: {words}."))
+        names = ", ".join(map(method_name, left_out))
+        blocks.append(paragraphs(f"Not compared, because there was no time: {names}."))
     if left_out := data.metrics.get("figures_left_out"):
-        words = ", ".join(left_out)
-        blocks.append(paragraphs(f"Not drawn, because there was no time: {words}."))
+        names = ", ".join(left_out)
+        blocks.append(paragraphs(f"Not drawn, because there was no time: {names}."))
     bound = data.bound_mm or None
     rows = []
     for name, seconds in data.method_seconds.items():
@@ -328,18 +324,6 @@ def _force(data: ReportData) -> list[str]:
         return [tile("Mean contact force", f"{f.mean():.3f}", "N", note)]
     if not force:
         return []
-    notes = [f"reference {compact(force['reference_n'])} N"] if "reference_n" in force else []
-    if lighter := force.get("lighter_references_n"):
-        forces = " and ".join(compact(one) for one in lighter)
-        notes.append(f"contacts of {forces} N scaled to it")
-    if (seconds := force.get("settling_s")) is not None:
-        settles = f"settled in {compact(seconds * 1e3)} ms"
-        notes.append(settles if np.isfinite(seconds) else "not settled before it slides")
-    if force.get("overshoot") is not None:
-        over = 100 * force["overshoot"]
-        notes.append(f"overshoot {over:.1f} %" if over >= 0.05 else "no overshoot")
-    if _departure(data):
-        notes.append("left its reference later: see above")
     mean = force.get("mean_n")
     value = "–" if mean is None else f"{mean:.3f}"
-    return [tile("Mean contact force", value, "N", ", ".join(notes))]
+    return [tile("Mean contact force", value, "N", ", ".join(force_notes(force)))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -211,11 +212,15 @@ def given(options: Mapping[str, Any], without: tuple[str, ...] = ()) -> dict[str
 
 def body_table(table: Mapping[str, Any]) -> Any:
     """The checked table of a body; its `make(folder)` gives the Body."""
+    if "file" in table:  # as in [skin]
+        remedy = f"write mesh = {json.dumps(str(table['file']))}"
+        raise ConfigError("unknown key 'file' in [body]", remedy=remedy)
     if "mesh" in table:
         return from_table(_Mesh, table, "body")
     shape = table.get("shape")
     if shape is None:
-        raise ConfigError("[body] lacks shape or mesh", remedy=f"shape: {', '.join(_SHAPES)}")
+        remedy = f'write mesh = "FILE", or shape = one of {", ".join(_SHAPES)}'
+        raise ConfigError("[body] lacks shape or mesh", remedy=remedy)
     if str(shape) not in _SHAPES:
         raise UnknownNameError("shape", shape, _SHAPES, " in [body]")
     return from_table(_SHAPES[str(shape)], table, "body")

@@ -2,7 +2,7 @@
 
 import copy
 import pickle
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -112,6 +112,22 @@ def test_content_is_compared_by_entries():
     assert not same_content((1, 2), (1, 3))
     assert not same_content({"a": 1}, {"b": 1})
     assert not same_content(1, "1")
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [(1, 1.0), (1, np.int64(1)), (True, np.bool_(True)), (0.5, np.array(0.5)),
+     ([1, 2], np.arange(1, 3)), (float("nan"), float("nan")), ({"a": 1}, {"a": 1.0})],
+)  # fmt: skip
+def test_equal_objects_have_equal_hashes(one, other):
+    @dataclass(frozen=True, eq=False)
+    class Held(Value):
+        value: object
+        aside: object = field(default=0, compare=False)
+
+    assert Held(one) == Held(other, aside=1)
+    assert hash(Held(one)) == hash(Held(other, aside=1))
+    assert Held(one) in {Held(other)}
 
 
 def test_no_dataclass_replaces_the_comparison_of_its_content():

@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from meshskin.core.errors import OutputError, RecordingError
+from meshskin.core.errors import OutputError, RecordingError, UnknownNameError
 from meshskin.recording.recording import CONTACTS, READINGS, Recording
 from meshskin.recording.recording_files import RecordingWriter, part_path
 
@@ -233,3 +233,23 @@ def test_a_column_of_raw_readings_may_have_any_sign(tmp_path, column):
     assert Recording.load(tmp_path / "again").metadata["readings"] == "raw"
     (tmp_path / "readings.csv").write_text("time,taxel,pressure\n0,7,3\n")
     assert "readings" not in Recording.load(tmp_path).metadata
+
+
+def test_a_recording_with_other_columns():
+    made = Recording(*tables(), {"scene": "x"})
+    points, pressure = made.points[::-1] + 1.0, [3, 4, 5]
+    other = made.with_columns(points=points, force=2 * made.force, pressure=pressure)
+    np.testing.assert_array_equal(other.points, points)
+    np.testing.assert_array_equal(other.force, 2 * made.force)
+    np.testing.assert_array_equal(other.pressure, pressure)
+    np.testing.assert_array_equal(other.normals, made.normals)
+    assert other.metadata == made.metadata
+    assert other.contacts.schema == made.contacts.schema
+    assert made.with_columns(time=made.time) == made
+    with pytest.raises(UnknownNameError, match="did you mean points"):
+        made.with_columns(point=points)
+    for wrong in (points[:2], points[:, 0]):
+        with pytest.raises(RecordingError, match=r"wrong shape of points.*limit: \(3, 3\)"):
+            made.with_columns(points=wrong)
+    with pytest.raises(RecordingError, match="force must be numbers"):
+        made.with_columns(force=["a", "b", "c"])

@@ -1,5 +1,6 @@
 """What a report shows of a learned response: units, curves, bands, and no missing modulus."""
 
+import json
 from dataclasses import replace
 
 import matplotlib.text
@@ -114,3 +115,11 @@ def test_a_page_has_the_unknowns_in_readable_units(case, tmp_path):
     assert "37 ± 0.2 ms" in html
     assert "0.573 ± 0.057 degrees" in html
     assert "unknowns." not in html
+
+
+@pytest.mark.parametrize("ids", [[], [3, 2**40]])
+def test_ids_of_a_group_are_integers_when_they_are_read_back(ids):
+    written = replace(response(1.0), taxels=np.array(ids, dtype=int))
+    read = LearnedResponse.from_values(json.loads(json.dumps(written.values())))
+    assert read.taxels.dtype == int
+    assert read.taxels.tolist() == ids
