@@ -14,7 +14,7 @@ from .log_map import BODY, CONTACT, LogMap, Pairs, StreamMap
 from .readers.yarp import SKIN_CONTACTS
 from .recording import CONTACTS as CONTACT_SCHEMA
 from .recording import FROM_TAXELS, QUATERNION, UNCOMPARED, Recording
-from .resample import REST_SIGMAS, LogFrames, paired
+from .resample import REST_SIGMAS, LogFrames, paired, with_skin_late
 from .skin_log import SkinLog
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
 from .tare import SIGMA_PER_MAD, thresholds
@@ -32,8 +32,8 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
     taxels in every contact. Raises ConfigError for a map without contact points or forces,
     RecordingError for a log without a frame in contact that has both.
     """
-    pairs = paired(log, log_map)
     given = frames.skin_log
+    pairs = with_skin_late(paired(log, log_map), given.clock_offset)
     points, normals, force, rotation = _contact_points(pairs, given.time)
     force = given.force if given.force is not None else force
     if force is None:

@@ -77,7 +77,8 @@ class StreamMap:
     time_unit: str = "s"
     """Unit of times that are numbers, and of a column whose name has none: s, ms, us or ns."""
     delay: float | None = quantity("s", None, least=-60.0, most=60.0)
-    """How late the times are against the clock of the robot; None: 0, and of taxels estimated."""
+    """How late the times are against the clock of the robot; None: 0; of taxels, and of
+    contacts that are computed from them, that of the first taxels, which is estimated."""
     first_id: int = 0
     """Taxels: id of the first one."""
     ids: tuple[int, ...] = ()

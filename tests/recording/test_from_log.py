@@ -12,6 +12,7 @@ from meshskin.core.errors import ConfigError, MeshskinError, RecordingError
 from meshskin.recording.from_log import recording_from_log
 from meshskin.recording.log_map import LogMap, StreamMap
 from meshskin.recording.readers import read_log
+from meshskin.recording.readers.yarp import SKIN_CONTACTS
 from meshskin.recording.recording import UNCOMPARED, Recording
 from meshskin.recording.resample import _rest_level, log_frames
 from meshskin.recording.stream import Log, Stream
@@ -242,6 +243,25 @@ def test_presses_beside_the_taxels_are_no_noise_of_the_force():
     recording = recording_from_log(log, log_map, log_frames(log, log_map))
     assert len(np.unique(robot.stroke(recording.time)[1])) == 9
     assert recording.force.min() < 0.5
+
+
+@pytest.mark.parametrize("delay", [None, 0.037])
+def test_contacts_that_the_robot_computes_from_its_taxels_have_the_clock_of_the_skin(
+    streams, delay
+):
+    """The contact point moves by 40 mm/s."""
+    time = np.arange(0.004, ROBOT.duration, 1 / 50)
+    depth, _ = ROBOT.stroke(time)
+    along = np.column_stack([0.04 * time, 0 * time, 0 * time])[depth > 0]
+    log_map = LogMap(
+        (*MAP.streams[:2], replace(MAP.streams[2], delay=delay), StreamMap("/touch", "contacts"))
+    )
+    log = log_of({**streams, "/touch": (time[depth > 0] + ROBOT.late, along)}, log_map)
+    touch = replace(log.streams[3], fields=("px", "py", "pz"), type=SKIN_CONTACTS)
+    log = replace(log, streams=(*log.streams[:3], touch))
+    recording = recording_from_log(log, log_map, log_frames(log, log_map))
+    assert len(recording.time) > 300
+    np.testing.assert_allclose(recording.points[:, 0], 0.04 * recording.time, atol=8e-5)
 
 
 @pytest.mark.parametrize(("rate", "second"), [(50, None), (200, None), (50, 20.0)])
