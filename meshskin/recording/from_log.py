@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from ..core.arrays import Array, Index, nearest_rows
+from ..core.arrays import Array, Index, nearest_rows, robust_sigma
 from ..core.errors import ConfigError, RecordingError
 from .log_map import BODY, CONTACT, LogMap, Pairs, StreamMap
 from .readers.yarp import SKIN_CONTACTS
@@ -17,7 +17,7 @@ from .recording import FROM_TAXELS, QUATERNION, UNCOMPARED, Recording
 from .resample import REST_SIGMAS, LogFrames, paired, with_skin_late
 from .skin_log import SkinLog
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
-from .tare import SIGMA_PER_MAD, thresholds
+from .tare import thresholds
 
 SAME_CONTACT = 2e-3
 """Distance, m, up to which successive contacts within a frame of the skin are one that moves: that
@@ -45,7 +45,7 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
     rest = np.abs(force[~given.in_contact & np.isfinite(force)])
     measured = given.force is not None and len(rest)
     # the median: the indenter may press beside the taxels
-    least = REST_SIGMAS * SIGMA_PER_MAD * float(np.median(rest)) if measured else 0.0
+    least = REST_SIGMAS * robust_sigma(rest) if measured else 0.0
     used = given.in_contact & np.isfinite(points).all(axis=1) & (force > least)
     if not used.any():
         raise _nothing_used(given, points, force, least)

@@ -59,6 +59,12 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     overlap([stream for stream, _ in pairs if stream.kind != CONTACTS])
     ids = _ids(skins)
     tared = {s.name: tare(s.times, s.values, m.polarity, s.name) for s, m in skins}
+    notes += [
+        f"{found.glitches} readings of {name} jump for one frame, farther than a contact: they are "
+        "left out"
+        for name, found in tared.items()
+        if found.glitches
+    ]
     first, given = skins[0]
     offsets = estimates(first.times, tared[first.name], pairs) if given.delay is None else ()
     pairs, moved = one_clock(pairs, offsets)

@@ -38,6 +38,11 @@ MIN_REST = 0.1
 """Share of a block that must be at rest for the block to have a level of its own."""
 FLOOR = 2e-3
 """Smallest noise, in ranges of a taxel: 9 bits, more than the converters of skins resolve."""
+RANGE = (0.001, 0.999)
+"""Quantiles of the readings between which the range of a taxel is: damaged ones are rarer."""
+GLITCH = 2.0
+"""Difference of the reading of a frame from those before and after, in the largest range of a
+taxel, from which it is damaged: no contact has it."""
 SKEWED = 3.0
 """Ratio of the excursions above and below the level at rest from which the polarity is clear: noise
 alone has 1, pressed taxels 10 and more."""
@@ -61,6 +66,8 @@ class Tared(Value):
     """Frames (n,) in contact."""
     falling: bool
     """Whether the raw readings fall under pressure."""
+    glitches: int = 0
+    """How many readings of single frames are damaged, and NaN in `readings`."""
 
 
 def tare(
@@ -78,7 +85,14 @@ def tare(
     if missing.any():
         values = _filled(values, missing)
     columns = [slice(k, min(k + COLUMNS, t)) for k in range(0, t, COLUMNS)]
-    noise, floor = np.concatenate([_noise(values[:, part]) for part in columns], axis=1)
+    span = np.concatenate([_range(values[:, part]) for part in columns])
+    glitches = np.concatenate([_jumps(values[:, p], GLITCH * span.max()) for p in columns], axis=1)
+    alone = np.convolve(glitches.any(axis=1), [1, 1, 1], "same") == 1
+    glitches &= alone[:, None]
+    if glitches.any():
+        missing |= glitches
+        values = _filled(values, missing)
+    noise, floor = np.concatenate([_noise(values[:, p], span[p]) for p in columns], axis=1)
     if not noise.any():
         raise _silent(name, "no reading ever changes")
     edges = _blocks(times)
@@ -114,7 +128,7 @@ def tare(
     if falling:
         np.negative(readings, out=readings)
     readings[missing] = np.nan
-    return Tared(readings, noise, np.ptp(levels, axis=0), in_contact, falling)
+    return Tared(readings, noise, np.ptp(levels, axis=0), in_contact, falling, int(glitches.sum()))
 
 
 def _filled(values: NDArray[np.number], missing: NDArray[np.bool_]) -> NDArray[np.number]:
@@ -123,7 +137,8 @@ def _filled(values: NDArray[np.number], missing: NDArray[np.bool_]) -> NDArray[n
     np.maximum.accumulate(row, axis=0, out=row)
     filled = np.take_along_axis(values, row, axis=0)
     first = np.take_along_axis(values, np.argmin(missing, axis=0)[None], axis=0)
-    return np.nan_to_num(np.where(np.isfinite(filled), filled, first), posinf=0.0, neginf=0.0)
+    known = np.logical_or.accumulate(~missing, axis=0)
+    return np.nan_to_num(np.where(known, filled, first), posinf=0.0, neginf=0.0)
 
 
 def thresholds(frames: int, taxels: int) -> tuple[float, float]:
@@ -155,12 +170,28 @@ def _silent(name: str, why: str) -> RecordingError:
     )
 
 
-def _noise(values: NDArray[np.number]) -> Array:
+def _range(values: NDArray[np.number]) -> Array:
+    """Range (t,) of readings (n, t) without those of single frames, and without rare ones."""
+    one, two, three = values[:-2], values[1:-1], values[2:]
+    middle = np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), three))
+    return np.asarray(np.diff(np.quantile(middle.astype(float), RANGE, axis=0), axis=0)[0])
+
+
+def _jumps(values: NDArray[np.number], least: float) -> NDArray[np.bool_]:
+    """Whether readings (n, t) differ by more than `least`, upwards or downwards, from the one
+    before and from the one after."""
+    steps = np.diff(values.astype(float), axis=0)
+    way = np.sign(steps) * (np.abs(steps) > least)
+    before = np.concatenate([-way[:1] * (way[1:2] == 0), way])
+    after = np.concatenate([way, -way[-1:] * (way[-2:-1] == 0)])
+    return np.asarray(before * after < 0)
+
+
+def _noise(values: NDArray[np.number], span: Array) -> Array:
     """Standard deviation of a reading at rest from the differences of consecutive ones, and the
-    smallest that it can be, (2, t): that of the rounding, and FLOOR."""
+    smallest that it can be, (2, t): that of the rounding, and FLOOR. span (t,): their ranges."""
     steps = np.abs(np.diff(values.astype(float), axis=0))
     noise = SIGMA_PER_MAD * np.median(steps, axis=0) / np.sqrt(2.0)
-    span = np.ptp(values.astype(float), axis=0)
     smallest = np.min(steps, axis=0, where=steps > 0, initial=np.inf)
     step = np.where(np.isfinite(smallest), smallest, 0.0)
     floor = np.maximum(step / np.sqrt(12.0), FLOOR * span)

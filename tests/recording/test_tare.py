@@ -99,6 +99,32 @@ def test_missing_readings_stay_missing():
     np.testing.assert_allclose(found.readings[known], truth[known], atol=8)
 
 
+@pytest.mark.parametrize("taxels", [3, slice(None)])
+@pytest.mark.parametrize("frame", [0, 1, 300, -1])
+def test_a_damaged_reading_is_left_out(frame, taxels):
+    _, times, counts, _ = skin(contacts=6)
+    sound, damaged = tare(times, counts), counts.copy()
+    damaged[frame, taxels] = 65535
+    found = tare(times, damaged)
+    lost = np.isnan(found.readings)
+    assert lost[frame, taxels].all()
+    assert found.glitches == lost.sum() == (1 if taxels == 3 else 25)
+    assert found.falling
+    np.testing.assert_allclose(found.noise, sound.noise, rtol=0.05)
+    assert len(runs(found.in_contact)) == len(runs(sound.in_contact))
+
+
+def test_strong_readings_of_one_frame_in_a_stroke_are_kept():
+    """A fast stroke presses every taxel for a frame."""
+    rng = np.random.default_rng(6)
+    counts = 100 + rng.normal(0, 1, (2000, 16))
+    for start in range(100, 2000, 200):
+        counts[start + np.arange(16), np.arange(16)] += 80
+    found = tare(np.arange(2000) / 50, counts)
+    assert found.glitches == 0
+    assert len(runs(found.in_contact)) == 10
+
+
 def test_a_log_of_two_frames_is_refused():
     with pytest.raises(RecordingError, match="never answers: it has 2 frames"):
         tare(np.arange(2.0), np.ones((2, 3)))
