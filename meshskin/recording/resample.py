@@ -65,6 +65,12 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
         for name, found in tared.items()
         if found.glitches
     ]
+    notes += [
+        f"the level of {stream.name} at rest jumps {found.jumps[0] - stream.times[0]:.0f} s after "
+        "its start and not back: a contact that was held to the end would look like this"
+        for stream, _ in skins
+        if len((found := tared[stream.name]).jumps)
+    ]
     first, given = skins[0]
     offsets = estimates(first.times, tared[first.name], pairs) if given.delay is None else ()
     pairs, moved = one_clock(pairs, offsets)

@@ -77,6 +77,16 @@ def test_a_late_wrench_moves_itself_and_not_the_skin(streams):
     assert not log_frames(log_of({**streams, "/wrench": (times + 0.06, wrench)}), given).notes
 
 
+def test_what_is_odd_in_the_readings_is_noted():
+    streams = RobotLog(contacts=40).streams()
+    times, counts = streams["/skin"]
+    counts[500, 3] = 65535
+    counts[times > 39.0, 7] += 60
+    notes = log_frames(log_of({**streams, "/skin": (times, counts)}), MAP).notes
+    assert notes[0].startswith("1 readings of /skin jump for one frame, farther than a contact")
+    assert notes[1].startswith("the level of /skin at rest jumps 38 s after its start and not back")
+
+
 def test_presses_beside_the_taxels_do_not_move_the_level_of_the_force():
     robot = RobotLog(contacts=14, seed=3)
     robot.sites[::3] = 0.2  # where no taxel is

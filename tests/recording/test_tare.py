@@ -125,6 +125,34 @@ def test_strong_readings_of_one_frame_in_a_stroke_are_kept():
     assert len(runs(found.in_contact)) == 10
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("hold", [12, 20, 30, 45])
+def test_a_contact_that_is_held_is_no_level_at_rest(hold, sign):
+    """Over a drift of ten standard deviations a minute."""
+    rng = np.random.default_rng(7)
+    times = np.arange(0, 200, 0.02)
+    starts = 10.0 + 45 * np.arange(4)
+    truth = 100.0 * ((times[:, None] > starts) & (times[:, None] < starts + min(hold, 44)))
+    counts = 200 + 0.25 * times[:, None] + rng.normal(0, 1.5, truth.shape)
+    found = tare(times, counts + sign * truth, "rising" if sign > 0 else "falling")
+    np.testing.assert_allclose((found.readings - truth).mean(axis=0), 0.0, atol=0.5)
+    assert np.abs(found.readings - truth).max() < 9
+    assert np.array_equal(found.in_contact, truth.any(axis=1))
+    assert not len(found.jumps)
+
+
+def test_a_level_that_jumps_for_good_is_told():
+    rng = np.random.default_rng(8)
+    times = np.arange(0, 100, 0.02)
+    counts = 200 + rng.normal(0, 1.5, (5000, 4))
+    counts[(times % 8) < 0.6, 1] += 50
+    counts[times > 45, 2] += 80
+    found = tare(times, counts)
+    assert 35 <= found.jumps[0] <= 55
+    assert len(found.jumps) == 1
+    np.testing.assert_allclose(found.readings[times > 60, 2].mean(), 0.0, atol=0.5)
+
+
 def test_a_log_of_two_frames_is_refused():
     with pytest.raises(RecordingError, match="never answers: it has 2 frames"):
         tare(np.arange(2.0), np.ones((2, 3)))
