@@ -22,6 +22,8 @@ from .tare import thresholds
 SAME_CONTACT = 2e-3
 """Distance, m, up to which successive contacts within a frame of the skin are one that moves: that
 of a stroke of 200 mm/s at 100 Hz; two indenters are farther apart."""
+NOISY = 3.0
+"""Noise of a taxel, in that of the median one, from which it has a threshold of its own."""
 
 
 def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recording:
@@ -53,7 +55,7 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
     table = {name: values[used] for name, values in zip(CONTACT_SCHEMA.names, columns, strict=True)}
     if rotation is not None:
         table |= {name: rotation[used, k] for k, name in enumerate(QUATERNION)}
-    readings, raw = _readings(frames, log_map, used)
+    readings, threshold = _readings(frames, log_map, used)
     metadata: dict[str, Any] = {
         "source": [log.path.name],
         "taxel_ids": given.taxel_ids.tolist(),
@@ -64,7 +66,8 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
         metadata["contact_points"] = FROM_TAXELS
     if not frames.clock_compared:
         metadata["clock"] = UNCOMPARED
-    return Recording(pa.table(table), readings, metadata | ({"readings": "raw"} if raw else {}))
+    metadata |= {"readings": "raw"} if threshold is None else {"threshold_pa": threshold}
+    return Recording(pa.table(table), readings, metadata)
 
 
 def _nothing_used(given: SkinLog, points: Array, force: Array, least: float) -> RecordingError:
@@ -85,8 +88,15 @@ def _nothing_used(given: SkinLog, points: Array, force: Array, least: float) -> 
     )
 
 
-def _readings(frames: LogFrames, log_map: LogMap, used: NDArray[np.bool_]) -> tuple[pa.Table, bool]:
-    """The table of readings of the used frames, and whether they are raw."""
+def _readings(
+    frames: LogFrames, log_map: LogMap, used: NDArray[np.bool_]
+) -> tuple[pa.Table, float | None]:
+    """The table of readings of the used frames, and the pressure, Pa, below which they are left
+    out; None for raw ones, which are all kept.
+
+    It is one for all taxels, that of the noisiest, as an estimate takes it. Below that of their own
+    noise, readings of taxels that are noisier than NOISY others are missing, not silences.
+    """
     given = frames.skin_log
     pascals = {stream.unit in ("Pa", "kPa") for stream in log_map.of(TAXELS)}
     if len(pascals) > 1:
@@ -94,20 +104,24 @@ def _readings(frames: LogFrames, log_map: LogMap, used: NDArray[np.bool_]) -> tu
             "some taxels of the map are in pascals, others in counts",
             remedy="read them into recordings of their own",
         )
-    raw = not pascals.pop()
-    values = given.readings[used]
+    values, missing, threshold = given.readings[used], given.missing[used], None
     kept = np.isfinite(values)
-    if not raw:
-        kept &= values > thresholds(1, len(given.taxel_ids))[1] * given.noise
+    if pascals.pop():
+        own = thresholds(1, len(given.taxel_ids))[1] * given.noise
+        usual = own <= NOISY * np.median(own[own > 0])
+        threshold = float(own[usual].max())
+        kept &= values > np.maximum(own, threshold)
+        values = np.where(kept | usual, values, np.nan)
+        missing = missing | ~(kept | usual)
     # a missing reading is kept as NaN: left out, it would be a silence
-    row, column = np.nonzero(kept | given.missing[used])
+    row, column = np.nonzero(kept | missing)
     return pa.table(
         {
             "time": given.time[used][row],
             "taxel": given.taxel_ids[column].astype(np.int32),
             "pressure": values[row, column].astype(float),
         }
-    ), raw
+    ), threshold
 
 
 def _contact_points(pairs: Pairs, time: Array) -> tuple[Array, Array, Array | None, Array | None]:

@@ -297,15 +297,26 @@ def test_contacts_of_a_stream_are_taken_where_there_is_one(streams, rate, second
     assert second is None or recording.time.max() < ROBOT.duration / 2
 
 
-def test_readings_in_pascals_are_recorded_above_their_noise(streams):
+def test_readings_in_pascals_are_recorded_above_the_noise_of_all_taxels(streams):
+    """Taxel 3 has twice the noise of the others, and taxel 7 ten times."""
+    times, counts = streams["/skin"]
+    noise = np.random.default_rng(1).normal(0, ROBOT.noise, (2, len(times)))
+    counts = counts.copy()
+    counts[:, [3, 7]] += np.sqrt([3, 99]) * noise.T
     _, more = poses(turning=0.0)
     log_map = LogMap(
         (*MAP.streams[:2], replace(MAP.streams[2], unit="kPa"), StreamMap("/tip", "pose"))
     )
-    log = log_of({**streams, **more}, log_map)
+    log = log_of({**streams, **more, "/skin": (times, counts)}, log_map)
     recording = recording_from_log(log, log_map, log_frames(log, log_map))
     assert "readings" not in recording.metadata
-    assert recording.pressure.min() > 3 * 1e3 * ROBOT.noise
+    least = recording.metadata["threshold_pa"]
+    assert least == pytest.approx(3.35 * 1e3 * 2 * ROBOT.noise, rel=0.1)
+    assert np.nanmin(recording.pressure) >= least
+    noisy = recording.reading_taxel == 7
+    assert noisy.sum() == len(recording.time)
+    assert np.array_equal(np.isnan(recording.pressure), noisy & np.isnan(recording.pressure))
+    assert np.isnan(recording.pressure).sum() > 0.5 * noisy.sum()
     assert len(recording.pressure) < 0.5 * 25 * len(recording.time)
 
 
