@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array, runs
+from ..robot.contact_kinematics import unwrapped
 from .log_map import Pairs
 from .stream import JOINTS, WRENCH
 from .tare import Tared
@@ -105,10 +106,12 @@ def estimates(times: Array, skin: Tared, pairs: Pairs) -> tuple[ClockOffset, ...
         whole = np.isfinite(states).all(axis=0)
         if not whole.any() or len(stream) < 2:
             continue
+        states = given.factor * states[:, whole].astype(float)
         by = "force" if given.kind == WRENCH else "motion"
         estimate = clock_offset(
             times, skin.readings, skin.noise, skin.in_contact,
-            stream.times - (given.delay or 0.0), states[:, whole].astype(float), by,
+            stream.times - (given.delay or 0.0),
+            states if by == "force" else unwrapped(states), by,
         )  # fmt: skip
         if estimate is not None:
             found.append(estimate)

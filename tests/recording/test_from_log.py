@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from meshskin.core.errors import ConfigError, MeshskinError, RecordingError
 from meshskin.recording.from_log import recording_from_log
+from meshskin.recording.log_contacts import joint_path
 from meshskin.recording.log_map import LogMap, StreamMap
 from meshskin.recording.readers import read_log
 from meshskin.recording.readers.yarp import SKIN_CONTACTS
@@ -85,6 +86,27 @@ def test_what_is_odd_in_the_readings_is_noted():
     notes = log_frames(log_of({**streams, "/skin": (times, counts)}), MAP).notes
     assert notes[0].startswith("1 readings of /skin jump for one frame, farther than a contact")
     assert notes[1].startswith("the level of /skin at rest jumps 38 s after its start and not back")
+
+
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_angles_that_jump_by_a_turn_are_of_an_endless_joint(streams, unit):
+    """A wrist whose strokes cross pi."""
+    times, angles = streams["/joint_states"]
+    shifted = angles + np.array([0.0, 0.0, np.pi + 0.2])
+    turned = (shifted + np.pi) % (2 * np.pi) - np.pi
+    assert np.ptp(turned[:, 2]) > 6
+    log_map = LogMap((replace(MAP.streams[0], unit=unit), *MAP.streams[2:]))
+    turned = np.degrees(turned) if unit == "deg" else turned
+    found = log_frames(log_of({**streams, "/joint_states": (times, turned)}, log_map), log_map)
+    assert found.skin_log.clock_offset == pytest.approx(ROBOT.late, abs=2e-3)
+    wrist = found.skin_log.joint_angles[:, 2]
+    at = np.interp(found.skin_log.time, times, shifted[:, 2])
+    turns = (wrist - at) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns[0]), atol=1e-9)
+    again = (wrist[:, None] + np.pi) % (2 * np.pi) - np.pi
+    given = replace(found.skin_log, joint_angles=again, joint_names=("wrist",))
+    path = joint_path(given, ("wrist",))
+    assert np.ptp(path.angles) < 0.2
 
 
 def test_presses_beside_the_taxels_do_not_move_the_level_of_the_force():
