@@ -223,7 +223,8 @@ def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
         if given.kind != JOINTS:
             continue
         times = _on_clock(stream, given)
-        for name, values in zip(stream.fields, stream.values.T, strict=True):
+        every = (stream.values * given.factors(stream.fields)).T
+        for name, values in zip(stream.fields, every, strict=True):
             if name in names:
                 raise ConfigError(
                     f"the joint {name} is in two streams",
@@ -231,7 +232,7 @@ def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
                     remedy="give other names in the map, or leave a stream out",
                 )
             names.append(name)
-            columns.append(_joint(frames, times, given.factor * values))
+            columns.append(_joint(frames, times, values))
     angles = np.stack(columns, axis=1) if columns else np.empty((len(frames), 0))
     return tuple(names), angles
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshskin.core.errors import ConfigError, MeshskinError, RecordingError
+from meshskin.core.errors import ConfigError, MeshskinError, RecordingError, UnknownNameError
 from meshskin.recording.from_log import recording_from_log
 from meshskin.recording.log_contacts import joint_path
 from meshskin.recording.log_map import LogMap, StreamMap
@@ -107,6 +107,19 @@ def test_angles_that_jump_by_a_turn_are_of_an_endless_joint(streams, unit):
     given = replace(found.skin_log, joint_angles=again, joint_names=("wrist",))
     path = joint_path(given, ("wrist",))
     assert np.ptp(path.angles) < 0.2
+
+
+def test_joints_that_slide_are_in_m_in_a_stream_of_degrees(streams):
+    times, angles = streams["/joint_states"]
+    values = np.column_stack([np.degrees(angles[:, :2]), angles[:, 2]])
+    given = replace(MAP.streams[0], unit="deg", sliding=("wrist",))
+    log_map = LogMap((given, MAP.streams[2]))
+    found = log_frames(log_of({**streams, "/joint_states": (times, values)}, log_map), log_map)
+    expected = [np.interp(found.skin_log.time, times, column) for column in angles.T]
+    np.testing.assert_allclose(found.skin_log.joint_angles, np.transpose(expected), atol=1e-9)
+    log_map = LogMap((replace(given, sliding=("wirst",)), MAP.streams[2]))
+    with pytest.raises(UnknownNameError, match=r"wirst.*wrist"):
+        log_frames(log_of(streams, log_map), log_map)
 
 
 def test_presses_beside_the_taxels_do_not_move_the_level_of_the_force():
