@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array, runs
+from ..robot.contact_kinematics import unwrapped
 from .log_map import Pairs
 from .stream import JOINTS, WRENCH
 from .tare import Tared
@@ -101,14 +102,16 @@ def estimates(times: Array, skin: Tared, pairs: Pairs) -> tuple[ClockOffset, ...
     for stream, given in pairs:
         if given.kind not in (WRENCH, JOINTS):
             continue
-        states = stream.values[:, :3] if given.kind == WRENCH else stream.values
+        states = (stream.values * given.factors(stream.fields)).astype(float)
+        states = states[:, :3] if given.kind == WRENCH else states
         whole = np.isfinite(states).all(axis=0)
         if not whole.any() or len(stream) < 2:
             continue
         by = "force" if given.kind == WRENCH else "motion"
         estimate = clock_offset(
             times, skin.readings, skin.noise, skin.in_contact,
-            stream.times - (given.delay or 0.0), states[:, whole].astype(float), by,
+            stream.times - (given.delay or 0.0),
+            states[:, whole] if by == "force" else unwrapped(states[:, whole]), by,
         )  # fmt: skip
         if estimate is not None:
             found.append(estimate)

@@ -8,20 +8,22 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from ..core.arrays import Array, Index, nearest_rows
+from ..core.arrays import Array, Index, nearest_rows, robust_sigma
 from ..core.errors import ConfigError, RecordingError
 from .log_map import BODY, CONTACT, LogMap, Pairs, StreamMap
 from .readers.yarp import SKIN_CONTACTS
 from .recording import CONTACTS as CONTACT_SCHEMA
 from .recording import FROM_TAXELS, QUATERNION, UNCOMPARED, Recording
-from .resample import REST_SIGMAS, LogFrames, paired
+from .resample import REST_SIGMAS, LogFrames, paired, with_skin_late
 from .skin_log import SkinLog
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
-from .tare import SIGMA_PER_MAD, thresholds
+from .tare import thresholds
 
 SAME_CONTACT = 2e-3
 """Distance, m, up to which successive contacts within a frame of the skin are one that moves: that
 of a stroke of 200 mm/s at 100 Hz; two indenters are farther apart."""
+NOISY = 3.0
+"""Noise of a taxel, in that of the median one, from which it has a threshold of its own."""
 
 
 def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recording:
@@ -32,8 +34,8 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
     taxels in every contact. Raises ConfigError for a map without contact points or forces,
     RecordingError for a log without a frame in contact that has both.
     """
-    pairs = paired(log, log_map)
     given = frames.skin_log
+    pairs = with_skin_late(paired(log, log_map), given.clock_offset)
     points, normals, force, rotation = _contact_points(pairs, given.time)
     force = given.force if given.force is not None else force
     if force is None:
@@ -45,7 +47,7 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
     rest = np.abs(force[~given.in_contact & np.isfinite(force)])
     measured = given.force is not None and len(rest)
     # the median: the indenter may press beside the taxels
-    least = REST_SIGMAS * SIGMA_PER_MAD * float(np.median(rest)) if measured else 0.0
+    least = REST_SIGMAS * robust_sigma(rest) if measured else 0.0
     used = given.in_contact & np.isfinite(points).all(axis=1) & (force > least)
     if not used.any():
         raise _nothing_used(given, points, force, least)
@@ -53,7 +55,7 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
     table = {name: values[used] for name, values in zip(CONTACT_SCHEMA.names, columns, strict=True)}
     if rotation is not None:
         table |= {name: rotation[used, k] for k, name in enumerate(QUATERNION)}
-    readings, raw = _readings(frames, log_map, used)
+    readings, threshold = _readings(frames, log_map, used)
     metadata: dict[str, Any] = {
         "source": [log.path.name],
         "taxel_ids": given.taxel_ids.tolist(),
@@ -64,7 +66,8 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
         metadata["contact_points"] = FROM_TAXELS
     if not frames.clock_compared:
         metadata["clock"] = UNCOMPARED
-    return Recording(pa.table(table), readings, metadata | ({"readings": "raw"} if raw else {}))
+    metadata |= {"readings": "raw"} if threshold is None else {"threshold_pa": threshold}
+    return Recording(pa.table(table), readings, metadata)
 
 
 def _nothing_used(given: SkinLog, points: Array, force: Array, least: float) -> RecordingError:
@@ -85,8 +88,15 @@ def _nothing_used(given: SkinLog, points: Array, force: Array, least: float) -> 
     )
 
 
-def _readings(frames: LogFrames, log_map: LogMap, used: NDArray[np.bool_]) -> tuple[pa.Table, bool]:
-    """The table of readings of the used frames, and whether they are raw."""
+def _readings(
+    frames: LogFrames, log_map: LogMap, used: NDArray[np.bool_]
+) -> tuple[pa.Table, float | None]:
+    """The table of readings of the used frames, and the pressure, Pa, below which they are left
+    out; None for raw ones, which are all kept.
+
+    It is one for all taxels, that of the noisiest, as an estimate takes it. Below that of their own
+    noise, readings of taxels that are noisier than NOISY others are missing, not silences.
+    """
     given = frames.skin_log
     pascals = {stream.unit in ("Pa", "kPa") for stream in log_map.of(TAXELS)}
     if len(pascals) > 1:
@@ -94,20 +104,24 @@ def _readings(frames: LogFrames, log_map: LogMap, used: NDArray[np.bool_]) -> tu
             "some taxels of the map are in pascals, others in counts",
             remedy="read them into recordings of their own",
         )
-    raw = not pascals.pop()
-    values = given.readings[used]
+    values, missing, threshold = given.readings[used], given.missing[used], None
     kept = np.isfinite(values)
-    if not raw:
-        kept &= values > thresholds(1, len(given.taxel_ids))[1] * given.noise
+    if pascals.pop():
+        own = thresholds(1, len(given.taxel_ids))[1] * given.noise
+        usual = own <= NOISY * np.median(own[own > 0])
+        threshold = float(own[usual].max())
+        kept &= values > np.maximum(own, threshold)
+        values = np.where(kept | usual, values, np.nan)
+        missing = missing | ~(kept | usual)
     # a missing reading is kept as NaN: left out, it would be a silence
-    row, column = np.nonzero(kept | given.missing[used])
+    row, column = np.nonzero(kept | missing)
     return pa.table(
         {
             "time": given.time[used][row],
             "taxel": given.taxel_ids[column].astype(np.int32),
             "pressure": values[row, column].astype(float),
         }
-    ), raw
+    ), threshold
 
 
 def _contact_points(pairs: Pairs, time: Array) -> tuple[Array, Array, Array | None, Array | None]:

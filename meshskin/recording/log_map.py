@@ -15,7 +15,7 @@ Keys are those of `StreamMap`; quantities end in their unit (delay_ms).
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..core.arguments import check_integer, check_name, check_path, check_type
+from ..core.arrays import Array
 from ..core.config import check_fields, check_table, from_table, quantity, read_toml
 from ..core.errors import ConfigError, UnknownNameError
 from . import field_path
@@ -77,7 +78,8 @@ class StreamMap:
     time_unit: str = "s"
     """Unit of times that are numbers, and of a column whose name has none: s, ms, us or ns."""
     delay: float | None = quantity("s", None, least=-60.0, most=60.0)
-    """How late the times are against the clock of the robot; None: 0, and of taxels estimated."""
+    """How late the times are against the clock of the robot; None: 0; of taxels, and of
+    contacts that are computed from them, that of the first taxels, which is estimated."""
     first_id: int = 0
     """Taxels: id of the first one."""
     ids: tuple[int, ...] = ()
@@ -91,6 +93,8 @@ class StreamMap:
     axis: tuple[float, float, float] | None = quantity("", None)
     """Pose: outward normal of the body in the frame of the pose, z by default. Wrench: direction of
     the contact force in the frame of the sensor; without one its magnitude is taken."""
+    sliding: tuple[str, ...] = ()
+    """Joints: names of those that slide, whose values are in m, not in `unit`."""
 
     def __post_init__(self) -> None:
         check_name("kind of a stream", self.kind, KINDS)
@@ -116,6 +120,15 @@ class StreamMap:
     def factor(self) -> float:
         """SI units, or counts, per unit of the values."""
         return UNITS[self.kind][self.unit or self.si_unit]
+
+    def factors(self, names: Sequence[str]) -> Array:
+        """`factor` of each of the values of these names; 1 for joints that slide.
+
+        Raises UnknownNameError for a joint of `sliding` that is not among them.
+        """
+        for name in self.sliding:
+            check_name(f"joint of {self.topic}", name, names)
+        return np.array([1.0 if name in self.sliding else self.factor for name in names])
 
     def check_length(self, found: int, message: int) -> None:
         """Raise ConfigError unless a message may hold `found` values."""

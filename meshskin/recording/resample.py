@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..core.arguments import check_type
 from ..core.arrays import Array, nearest_rows
 from ..core.errors import ConfigError, RecordingError
+from ..robot.contact_kinematics import unwrapped
 from .clock_offset import ClockOffset, estimates, one_clock
 from .log_map import LogMap, Pairs, StreamMap
 from .readers.yarp import SKIN_CONTACTS
@@ -59,15 +60,26 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     overlap([stream for stream, _ in pairs if stream.kind != CONTACTS])
     ids = _ids(skins)
     tared = {s.name: tare(s.times, s.values, m.polarity, s.name) for s, m in skins}
-    times = skins[0][0].times - (skins[0][1].delay or 0.0)
-    base = tared[skins[0][0].name]
-    offsets = estimates(times, base, pairs) if skins[0][1].delay is None else ()
+    notes += [
+        f"{found.glitches} readings of {name} jump for one frame, farther than a contact: they are "
+        "left out"
+        for name, found in tared.items()
+        if found.glitches
+    ]
+    notes += [
+        f"the level of {stream.name} at rest jumps {found.jumps[0] - stream.times[0]:.0f} s after "
+        "its start and not back: a contact that was held to the end would look like this"
+        for stream, _ in skins
+        if len((found := tared[stream.name]).jumps)
+    ]
+    first, given = skins[0]
+    offsets = estimates(first.times, tared[first.name], pairs) if given.delay is None else ()
     pairs, moved = one_clock(pairs, offsets)
     notes += moved
-    offset, compared = 0.0, True
+    late, compared = given.delay or 0.0, True
     if offsets and offsets[0].usable:
-        offset = offsets[0].offset
-    elif skins[0][1].delay is None and not all(_of_skin(s, m) for s, m in pairs):
+        late = offsets[0].offset
+    elif given.delay is None and not all(_of_skin(s, m) for s, m in pairs):
         compared = False
         joints = any(stream.kind == JOINTS for _, stream in pairs)
         then = (
@@ -78,17 +90,17 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
             "the onsets, press and retract along one path at five places, record a force, or give "
             "delay_ms"
         )
-    kept = _kept(times - offset, pairs, offset)
-    frames = times[kept] - offset
+    pairs = with_skin_late(pairs, late)
+    skins = [pair for pair in pairs if pair[1].kind == TAXELS]
+    frames = first.times - late
+    frames = frames[_kept(frames, pairs)]
     readings = np.empty((len(frames), len(ids)), dtype=np.float32)
     column = 0
     for s, m in skins:
         part = readings[:, column : column + len(s.fields)]
-        _interpolate(part, frames, s, m, tared[s.name], offset)
+        _interpolate(part, frames, s, m, tared[s.name])
         column += len(s.fields)
-    pressed = [
-        tared[s.name].in_contact[nearest_rows(_skin_times(s, m, offset), frames)] for s, m in skins
-    ]
+    pressed = [tared[s.name].in_contact[nearest_rows(_on_clock(s, m), frames)] for s, m in skins]
     in_contact = np.any(pressed, axis=0)
     force = _force(frames, in_contact, pairs)
     for stream, given in pairs if force is None else ():
@@ -98,10 +110,17 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     noise = np.concatenate([tared[s.name].noise * m.factor for s, m in skins])
     skin_log = SkinLog(
         frames, names, angles, ids, readings, noise, in_contact, force,
-        offset if offsets else skins[0][1].delay or 0.0,
+        late,
         offsets[0].sigma if offsets and offsets[0].usable else None,
     )  # fmt: skip
     return LogFrames(skin_log, tared, offsets, tuple(notes), compared)
+
+
+def with_skin_late(pairs: Pairs, late: float) -> Pairs:
+    """The streams with the delay `late`, s, of those on the clock of the skin that have none."""
+    return [
+        (s, replace(m, delay=late) if m.delay is None and _of_skin(s, m) else m) for s, m in pairs
+    ]
 
 
 def _of_skin(stream: Stream, given: StreamMap) -> bool:
@@ -142,20 +161,19 @@ def _ids(skins: Pairs) -> NDArray[np.intp]:
     return np.array([int(name) for stream, _ in skins for name in stream.fields])
 
 
-def _skin_times(stream: Stream, given: StreamMap, offset: float) -> Array:
-    """Times of a skin on the clock of the robot."""
-    return stream.times - (offset if given.delay is None else given.delay)
+def _on_clock(stream: Stream, given: StreamMap) -> Array:
+    """Times of a stream on the clock of the robot."""
+    return stream.times - (given.delay or 0.0)
 
 
-def _kept(times: Array, pairs: Pairs, offset: float) -> NDArray[np.bool_]:
+def _kept(times: Array, pairs: Pairs) -> NDArray[np.bool_]:
     """Frames that lie within all streams, and in no gap of joints and forces.
 
     Raises RecordingError if none is left.
     """
     kept = np.append(True, np.diff(times) > 0)  # a message that was recorded twice
     for stream, given in pairs:
-        own = _skin_times(stream, given, offset) if given.kind == TAXELS else None
-        on_clock = stream.times - (given.delay or 0.0) if own is None else own
+        on_clock = _on_clock(stream, given)
         if given.kind in (JOINTS, WRENCH, TAXELS):
             kept &= (times >= on_clock[0]) & (times <= on_clock[-1])
         for gap in stream.gaps if given.kind in (JOINTS, WRENCH) else ():
@@ -175,13 +193,12 @@ def _interpolate(
     stream: Stream,
     given: StreamMap,
     tared: Tared,
-    offset: float,
 ) -> None:
     """Write the readings of one skin at the frames to `out` (n, t); NaN in its gaps.
 
     A few taxels at a time, so that memory stays near that of the readings.
     """
-    times = _skin_times(stream, given, offset)
+    times = _on_clock(stream, given)
     rows = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
     step = times[rows] - times[rows - 1]
     share = np.divide(frames - times[rows - 1], step, where=step > 0, out=np.zeros_like(frames))
@@ -205,8 +222,9 @@ def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
     for stream, given in pairs:
         if given.kind != JOINTS:
             continue
-        times = stream.times - (given.delay or 0.0)
-        for name, values in zip(stream.fields, stream.values.T, strict=True):
+        times = _on_clock(stream, given)
+        every = (stream.values * given.factors(stream.fields)).T
+        for name, values in zip(stream.fields, every, strict=True):
             if name in names:
                 raise ConfigError(
                     f"the joint {name} is in two streams",
@@ -214,7 +232,7 @@ def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
                     remedy="give other names in the map, or leave a stream out",
                 )
             names.append(name)
-            columns.append(_joint(frames, times, given.factor * values))
+            columns.append(_joint(frames, times, values))
     angles = np.stack(columns, axis=1) if columns else np.empty((len(frames), 0))
     return tuple(names), angles
 
@@ -226,7 +244,7 @@ def _joint(frames: Array, times: Array, angles: Array) -> Array:
     if known.sum() < 2:
         return np.full(len(frames), np.nan)
     own = Stream("", "", times[known], np.empty((int(known.sum()), 0)))
-    out = np.interp(frames, own.times, angles[known], left=np.nan, right=np.nan)
+    out = np.interp(frames, own.times, unwrapped(angles[known]), left=np.nan, right=np.nan)
     for gap in own.gaps:
         out[(frames > gap.start) & (frames < gap.end)] = np.nan
     return np.asarray(out)

@@ -35,7 +35,8 @@ class SkinLog(Value):
     joint_names: tuple[str, ...]
     """Names of the k joints, those of the log."""
     joint_angles: Array
-    """Joint angles (n, k), rad; m for prismatic joints; NaN in the gaps of a joint."""
+    """Joint angles (n, k), rad; m for prismatic joints; NaN in the gaps of a joint. Those of
+    endless joints go on beyond a turn."""
     taxel_ids: NDArray[np.integer]
     """Ids (t,) of the taxels."""
     readings: NDArray[np.floating]

@@ -8,13 +8,13 @@ to where none exceeds a lower threshold (hysteresis).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array, runs
+from ..core.arrays import Array, Index, runs
 from ..core.errors import RecordingError
 from ..core.value import Value
 from .log_map import AUTO, FALLING
@@ -38,11 +38,22 @@ MIN_REST = 0.1
 """Share of a block that must be at rest for the block to have a level of its own."""
 FLOOR = 2e-3
 """Smallest noise, in ranges of a taxel: 9 bits, more than the converters of skins resolve."""
+RANGE = (0.001, 0.999)
+"""Quantiles of the readings between which the range of a taxel is: damaged ones are rarer."""
+GLITCH = 2.0
+"""Difference of the reading of a frame from those before and after, in the largest range of a
+taxel, from which it is damaged: no contact has it."""
 SKEWED = 3.0
 """Ratio of the excursions above and below the level at rest from which the polarity is clear: noise
 alone has 1, pressed taxels 10 and more."""
 PASSES = 3
-"""Times that levels and contacts are found in turn; they do not change after the second."""
+"""Times that levels and contacts are found in turn; they do not change after the second, in which
+the polarity is known."""
+JUMP = 2.0
+"""Change of a level from block to block, in upper thresholds, from which it may be a jump."""
+SUDDEN = 0.15
+"""Share of the readings between two levels, in the middle half of their difference, up to which the
+level jumped: a drift has 0.5, a contact that begins 0.02 and less."""
 SIGMA_PER_MAD = 1.4826
 """Standard deviation of a normal variable per median absolute deviation."""
 
@@ -61,6 +72,10 @@ class Tared(Value):
     """Frames (n,) in contact."""
     falling: bool
     """Whether the raw readings fall under pressure."""
+    glitches: int = 0
+    """How many readings of single frames are damaged, and NaN in `readings`."""
+    jumps: Array = field(default_factory=lambda: np.empty(0))
+    """Times, s, of the blocks at the start of which the level at rest of a taxel jumps for good."""
 
 
 def tare(
@@ -78,16 +93,24 @@ def tare(
     if missing.any():
         values = _filled(values, missing)
     columns = [slice(k, min(k + COLUMNS, t)) for k in range(0, t, COLUMNS)]
-    noise, floor = np.concatenate([_noise(values[:, part]) for part in columns], axis=1)
+    span = np.concatenate([_range(values[:, part]) for part in columns])
+    glitches = np.concatenate([_jumps(values[:, p], GLITCH * span.max()) for p in columns], axis=1)
+    alone = np.convolve(glitches.any(axis=1), [1, 1, 1], "same") == 1
+    glitches &= alone[:, None]
+    if glitches.any():
+        missing |= glitches
+        values = _filled(values, missing)
+    noise, floor = np.concatenate([_noise(values[:, p], span[p]) for p in columns], axis=1)
     if not noise.any():
         raise _silent(name, "no reading ever changes")
     edges = _blocks(times)
-    levels = np.concatenate([_densest(values[:, part], edges) for part in columns], axis=1)
+    densest = np.concatenate([_densest(values[:, part], edges) for part in columns], axis=1)
+    levels = _smoothed(densest)
     on, off = thresholds(n, t)
     in_contact = np.zeros(n, dtype=bool)
     readings = np.empty((n, t), dtype=np.float32)
     strongest = np.empty((2, n))
-    rest = ~in_contact
+    rest, jumps = ~in_contact, None
     for _ in range(PASSES):
         strongest[:] = 0.0
         for part in columns:
@@ -105,6 +128,13 @@ def tare(
         if rest.mean() >= MIN_REST:
             for part in columns:
                 noise[part] = _scatter(readings[rest, part], noise[part], floor[part], on)
+        if jumps is None and (polarity != AUTO or SKEWED * min(up, down) <= max(up, down)):
+            least = JUMP * on * noise
+            found = [_held(values[:, p], edges, densest[:, p], least[p], falling) for p in columns]
+            held, jumped = np.concatenate(found, axis=2)
+            jumps = times[edges[:-1]][jumped.any(axis=1)]
+            if held.any():
+                levels = _smoothed(_between(np.where(held, np.nan, densest), densest))
     if polarity == AUTO and max(up, down) > 0:
         _check_polarity(up, down, name)
     if not in_contact.any():
@@ -114,7 +144,10 @@ def tare(
     if falling:
         np.negative(readings, out=readings)
     readings[missing] = np.nan
-    return Tared(readings, noise, np.ptp(levels, axis=0), in_contact, falling)
+    return Tared(
+        readings, noise, np.ptp(levels, axis=0), in_contact, falling, int(glitches.sum()),
+        times[:0] if jumps is None else jumps,
+    )  # fmt: skip
 
 
 def _filled(values: NDArray[np.number], missing: NDArray[np.bool_]) -> NDArray[np.number]:
@@ -123,7 +156,8 @@ def _filled(values: NDArray[np.number], missing: NDArray[np.bool_]) -> NDArray[n
     np.maximum.accumulate(row, axis=0, out=row)
     filled = np.take_along_axis(values, row, axis=0)
     first = np.take_along_axis(values, np.argmin(missing, axis=0)[None], axis=0)
-    return np.nan_to_num(np.where(np.isfinite(filled), filled, first), posinf=0.0, neginf=0.0)
+    known = np.logical_or.accumulate(~missing, axis=0)
+    return np.nan_to_num(np.where(known, filled, first), posinf=0.0, neginf=0.0)
 
 
 def thresholds(frames: int, taxels: int) -> tuple[float, float]:
@@ -155,12 +189,28 @@ def _silent(name: str, why: str) -> RecordingError:
     )
 
 
-def _noise(values: NDArray[np.number]) -> Array:
+def _range(values: NDArray[np.number]) -> Array:
+    """Range (t,) of readings (n, t) without those of single frames, and without rare ones."""
+    one, two, three = values[:-2], values[1:-1], values[2:]
+    middle = np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), three))
+    return np.asarray(np.diff(np.quantile(middle.astype(float), RANGE, axis=0), axis=0)[0])
+
+
+def _jumps(values: NDArray[np.number], least: float) -> NDArray[np.bool_]:
+    """Whether readings (n, t) differ by more than `least`, upwards or downwards, from the one
+    before and from the one after."""
+    steps = np.diff(values.astype(float), axis=0)
+    way = np.sign(steps) * (np.abs(steps) > least)
+    before = np.concatenate([-way[:1] * (way[1:2] == 0), way])
+    after = np.concatenate([way, -way[-1:] * (way[-2:-1] == 0)])
+    return np.asarray(before * after < 0)
+
+
+def _noise(values: NDArray[np.number], span: Array) -> Array:
     """Standard deviation of a reading at rest from the differences of consecutive ones, and the
-    smallest that it can be, (2, t): that of the rounding, and FLOOR."""
+    smallest that it can be, (2, t): that of the rounding, and FLOOR. span (t,): their ranges."""
     steps = np.abs(np.diff(values.astype(float), axis=0))
     noise = SIGMA_PER_MAD * np.median(steps, axis=0) / np.sqrt(2.0)
-    span = np.ptp(values.astype(float), axis=0)
     smallest = np.min(steps, axis=0, where=steps > 0, initial=np.inf)
     step = np.where(np.isfinite(smallest), smallest, 0.0)
     floor = np.maximum(step / np.sqrt(12.0), FLOOR * span)
@@ -183,10 +233,7 @@ def _blocks(times: Array) -> NDArray[np.intp]:
 
 
 def _densest(values: NDArray[np.number], edges: NDArray[np.intp]) -> Array:
-    """Middle (b, t) of the shortest interval that holds the share DENSE of a block's readings.
-
-    Blocks in which a taxel is pressed for most of the time take the level of a neighbour.
-    """
+    """Middle (b, t) of the shortest interval that holds the share DENSE of a block's readings."""
     levels = np.empty((len(edges) - 1, values.shape[1]))
     for k, (first, last) in enumerate(pairwise(edges)):
         block = np.sort(values[first:last].astype(float), axis=0)
@@ -195,6 +242,12 @@ def _densest(values: NDArray[np.number], edges: NDArray[np.intp]) -> Array:
         best = width.argmin(axis=0)[None]
         low, high = (np.take_along_axis(block, best + k, axis=0)[0] for k in (0, held))
         levels[k] = 0.5 * (low + high)
+    return levels
+
+
+def _smoothed(levels: Array) -> Array:
+    """Levels (b, t) of which single blocks, in which a taxel is pressed for most of the time, take
+    that of a neighbour."""
     if len(levels) < 3:
         return levels
     ends = 2 * levels[[1, -2]] - levels[[2, -3]]  # as the drift goes on
@@ -231,10 +284,37 @@ def _refined(
         total = np.asarray(np.sum(above[first:last], axis=0, where=near))
         enough = count >= MIN_REST * (last - first)
         out[k] = np.where(enough, levels[k] + total / np.maximum(count, 1), np.nan)
-    for level, before in zip(out.T, levels.T, strict=True):
+    return _between(out, levels)
+
+
+def _between(levels: Array, otherwise: Array) -> Array:
+    """Levels (b, t) with those that are NaN interpolated; `otherwise` (b, t) where all are."""
+    out = levels.copy()
+    for level, before in zip(out.T, otherwise.T, strict=True):
         known = np.flatnonzero(np.isfinite(level))
         level[:] = np.interp(np.arange(len(level)), known, level[known]) if len(known) else before
     return out
+
+
+def _held(
+    values: NDArray[np.number], edges: Index, levels: Array, least: Array, falling: bool
+) -> NDArray[np.bool_]:
+    """Blocks (2, b, t) in which a taxel is pressed all the time, as its level jumps by `least` (t,)
+    before them and back after them; and those at the start of which it jumps otherwise."""
+    change = np.diff(levels, axis=0)
+    sudden = (np.abs(change) > least) & (least > 0)
+    for k, taxel in np.argwhere(sudden):
+        between = slice((edges[k] + edges[k + 1]) // 2, (edges[k + 1] + edges[k + 2]) // 2)
+        share = (values[between, taxel].astype(float) - levels[k, taxel]) / change[k, taxel]
+        sudden[k, taxel] = np.mean(np.abs(share - 0.5) < 0.25) < SUDDEN
+    jump = np.concatenate([0 * levels[:1], np.where(sudden, change, 0.0)])
+    height = np.cumsum(-jump if falling else jump, axis=0)
+    around = np.maximum(
+        np.minimum.accumulate(height, axis=0), np.minimum.accumulate(height[::-1], axis=0)[::-1]
+    )
+    held = height - around > least
+    before = np.concatenate([held[:1], held[:-1]])
+    return np.stack([held, (jump != 0) & ~held & ~before])
 
 
 def _interpolated(times: Array, edges: NDArray[np.intp], levels: Array) -> Array:

@@ -67,6 +67,14 @@ that moves a point 0.1 m from the origin as far as the translation does."""
 MAX_GAP = 5.0
 """Longest step of a path, in typical steps, over which its angles are interpolated: a robot may
 stop, start or turn in a longer one."""
+TURN = 5.0
+"""Step of an angle, rad, from which it is a whole turn that an endless joint's angle leaves out:
+2 pi less the 1.3 rad that a joint turns between two samples at most."""
+
+
+def unwrapped(angles: Array) -> Array:
+    """Angles (n, ...), rad, over time, of endless joints without the jumps by whole turns."""
+    return np.unwrap(angles, TURN, axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +84,7 @@ class JointPath:
     time: Array
     """Times (n,), s, increasing, of at least two samples."""
     angles: Array
-    """(n, k), rad."""
+    """(n, k), rad, without jumps by whole turns (`unwrapped`)."""
 
     def at(self, time: Array, delays: Array | None = None) -> tuple[Array, Array]:
         """Angles (m, k), rad, and their rates, rad/s, at times (m,), s; of joints whose stamps are

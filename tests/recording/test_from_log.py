@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshskin.core.errors import ConfigError, MeshskinError, RecordingError
+from meshskin.core.errors import ConfigError, MeshskinError, RecordingError, UnknownNameError
 from meshskin.recording.from_log import recording_from_log
+from meshskin.recording.log_contacts import joint_path
 from meshskin.recording.log_map import LogMap, StreamMap
 from meshskin.recording.readers import read_log
+from meshskin.recording.readers.yarp import SKIN_CONTACTS
 from meshskin.recording.recording import UNCOMPARED, Recording
 from meshskin.recording.resample import _rest_level, log_frames
 from meshskin.recording.stream import Log, Stream
@@ -74,6 +76,50 @@ def test_a_late_wrench_moves_itself_and_not_the_skin(streams):
     assert re.match(r"the wrench is (59|60)\.\d ms late against the joints", note)
     given = LogMap((MAP.streams[0], replace(MAP.streams[1], delay=0.06), MAP.streams[2]))
     assert not log_frames(log_of({**streams, "/wrench": (times + 0.06, wrench)}), given).notes
+
+
+def test_what_is_odd_in_the_readings_is_noted():
+    streams = RobotLog(contacts=40).streams()
+    times, counts = streams["/skin"]
+    counts[500, 3] = 65535
+    counts[times > 39.0, 7] += 60
+    notes = log_frames(log_of({**streams, "/skin": (times, counts)}), MAP).notes
+    assert notes[0].startswith("1 readings of /skin jump for one frame, farther than a contact")
+    assert notes[1].startswith("the level of /skin at rest jumps 38 s after its start and not back")
+
+
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_angles_that_jump_by_a_turn_are_of_an_endless_joint(streams, unit):
+    """A wrist whose strokes cross pi."""
+    times, angles = streams["/joint_states"]
+    shifted = angles + np.array([0.0, 0.0, np.pi + 0.2])
+    turned = (shifted + np.pi) % (2 * np.pi) - np.pi
+    assert np.ptp(turned[:, 2]) > 6
+    log_map = LogMap((replace(MAP.streams[0], unit=unit), *MAP.streams[2:]))
+    turned = np.degrees(turned) if unit == "deg" else turned
+    found = log_frames(log_of({**streams, "/joint_states": (times, turned)}, log_map), log_map)
+    assert found.skin_log.clock_offset == pytest.approx(ROBOT.late, abs=2e-3)
+    wrist = found.skin_log.joint_angles[:, 2]
+    at = np.interp(found.skin_log.time, times, shifted[:, 2])
+    turns = (wrist - at) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns[0]), atol=1e-9)
+    again = (wrist[:, None] + np.pi) % (2 * np.pi) - np.pi
+    given = replace(found.skin_log, joint_angles=again, joint_names=("wrist",))
+    path = joint_path(given, ("wrist",))
+    assert np.ptp(path.angles) < 0.2
+
+
+def test_joints_that_slide_are_in_m_in_a_stream_of_degrees(streams):
+    times, angles = streams["/joint_states"]
+    values = np.column_stack([np.degrees(angles[:, :2]), angles[:, 2]])
+    given = replace(MAP.streams[0], unit="deg", sliding=("wrist",))
+    log_map = LogMap((given, MAP.streams[2]))
+    found = log_frames(log_of({**streams, "/joint_states": (times, values)}, log_map), log_map)
+    expected = [np.interp(found.skin_log.time, times, column) for column in angles.T]
+    np.testing.assert_allclose(found.skin_log.joint_angles, np.transpose(expected), atol=1e-9)
+    log_map = LogMap((replace(given, sliding=("wirst",)), MAP.streams[2]))
+    with pytest.raises(UnknownNameError, match=r"wirst.*wrist"):
+        log_frames(log_of(streams, log_map), log_map)
 
 
 def test_presses_beside_the_taxels_do_not_move_the_level_of_the_force():
@@ -244,6 +290,25 @@ def test_presses_beside_the_taxels_are_no_noise_of_the_force():
     assert recording.force.min() < 0.5
 
 
+@pytest.mark.parametrize("delay", [None, 0.037])
+def test_contacts_that_the_robot_computes_from_its_taxels_have_the_clock_of_the_skin(
+    streams, delay
+):
+    """The contact point moves by 40 mm/s."""
+    time = np.arange(0.004, ROBOT.duration, 1 / 50)
+    depth, _ = ROBOT.stroke(time)
+    along = np.column_stack([0.04 * time, 0 * time, 0 * time])[depth > 0]
+    log_map = LogMap(
+        (*MAP.streams[:2], replace(MAP.streams[2], delay=delay), StreamMap("/touch", "contacts"))
+    )
+    log = log_of({**streams, "/touch": (time[depth > 0] + ROBOT.late, along)}, log_map)
+    touch = replace(log.streams[3], fields=("px", "py", "pz"), type=SKIN_CONTACTS)
+    log = replace(log, streams=(*log.streams[:3], touch))
+    recording = recording_from_log(log, log_map, log_frames(log, log_map))
+    assert len(recording.time) > 300
+    np.testing.assert_allclose(recording.points[:, 0], 0.04 * recording.time, atol=8e-5)
+
+
 @pytest.mark.parametrize(("rate", "second"), [(50, None), (200, None), (50, 20.0)])
 def test_contacts_of_a_stream_are_taken_where_there_is_one(streams, rate, second):
     """second: distance, mm, of another contact at the same times in the second half of the log."""
@@ -267,15 +332,26 @@ def test_contacts_of_a_stream_are_taken_where_there_is_one(streams, rate, second
     assert second is None or recording.time.max() < ROBOT.duration / 2
 
 
-def test_readings_in_pascals_are_recorded_above_their_noise(streams):
+def test_readings_in_pascals_are_recorded_above_the_noise_of_all_taxels(streams):
+    """Taxel 3 has twice the noise of the others, and taxel 7 ten times."""
+    times, counts = streams["/skin"]
+    noise = np.random.default_rng(1).normal(0, ROBOT.noise, (2, len(times)))
+    counts = counts.copy()
+    counts[:, [3, 7]] += np.sqrt([3, 99]) * noise.T
     _, more = poses(turning=0.0)
     log_map = LogMap(
         (*MAP.streams[:2], replace(MAP.streams[2], unit="kPa"), StreamMap("/tip", "pose"))
     )
-    log = log_of({**streams, **more}, log_map)
+    log = log_of({**streams, **more, "/skin": (times, counts)}, log_map)
     recording = recording_from_log(log, log_map, log_frames(log, log_map))
     assert "readings" not in recording.metadata
-    assert recording.pressure.min() > 3 * 1e3 * ROBOT.noise
+    least = recording.metadata["threshold_pa"]
+    assert least == pytest.approx(3.35 * 1e3 * 2 * ROBOT.noise, rel=0.1)
+    assert np.nanmin(recording.pressure) >= least
+    noisy = recording.reading_taxel == 7
+    assert noisy.sum() == len(recording.time)
+    assert np.array_equal(np.isnan(recording.pressure), noisy & np.isnan(recording.pressure))
+    assert np.isnan(recording.pressure).sum() > 0.5 * noisy.sum()
     assert len(recording.pressure) < 0.5 * 25 * len(recording.time)
 
 

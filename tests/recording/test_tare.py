@@ -99,6 +99,60 @@ def test_missing_readings_stay_missing():
     np.testing.assert_allclose(found.readings[known], truth[known], atol=8)
 
 
+@pytest.mark.parametrize("taxels", [3, slice(None)])
+@pytest.mark.parametrize("frame", [0, 1, 300, -1])
+def test_a_damaged_reading_is_left_out(frame, taxels):
+    _, times, counts, _ = skin(contacts=6)
+    sound, damaged = tare(times, counts), counts.copy()
+    damaged[frame, taxels] = 65535
+    found = tare(times, damaged)
+    lost = np.isnan(found.readings)
+    assert lost[frame, taxels].all()
+    assert found.glitches == lost.sum() == (1 if taxels == 3 else 25)
+    assert found.falling
+    np.testing.assert_allclose(found.noise, sound.noise, rtol=0.05)
+    assert len(runs(found.in_contact)) == len(runs(sound.in_contact))
+
+
+def test_strong_readings_of_one_frame_in_a_stroke_are_kept():
+    """A fast stroke presses every taxel for a frame."""
+    rng = np.random.default_rng(6)
+    counts = 100 + rng.normal(0, 1, (2000, 16))
+    for start in range(100, 2000, 200):
+        counts[start + np.arange(16), np.arange(16)] += 80
+    found = tare(np.arange(2000) / 50, counts)
+    assert found.glitches == 0
+    assert len(runs(found.in_contact)) == 10
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("hold", [12, 20, 30, 45])
+def test_a_contact_that_is_held_is_no_level_at_rest(hold, sign):
+    """Over a drift of ten standard deviations a minute."""
+    rng = np.random.default_rng(7)
+    times = np.arange(0, 200, 0.02)
+    starts = 10.0 + 45 * np.arange(4)
+    truth = 100.0 * ((times[:, None] > starts) & (times[:, None] < starts + min(hold, 44)))
+    counts = 200 + 0.25 * times[:, None] + rng.normal(0, 1.5, truth.shape)
+    found = tare(times, counts + sign * truth, "rising" if sign > 0 else "falling")
+    np.testing.assert_allclose((found.readings - truth).mean(axis=0), 0.0, atol=0.5)
+    assert np.abs(found.readings - truth).max() < 9
+    assert np.array_equal(found.in_contact, truth.any(axis=1))
+    assert not len(found.jumps)
+
+
+def test_a_level_that_jumps_for_good_is_told():
+    rng = np.random.default_rng(8)
+    times = np.arange(0, 100, 0.02)
+    counts = 200 + rng.normal(0, 1.5, (5000, 4))
+    counts[(times % 8) < 0.6, 1] += 50
+    counts[times > 45, 2] += 80
+    found = tare(times, counts)
+    assert 35 <= found.jumps[0] <= 55
+    assert len(found.jumps) == 1
+    np.testing.assert_allclose(found.readings[times > 60, 2].mean(), 0.0, atol=0.5)
+
+
 def test_a_log_of_two_frames_is_refused():
     with pytest.raises(RecordingError, match="never answers: it has 2 frames"):
         tare(np.arange(2.0), np.ones((2, 3)))
