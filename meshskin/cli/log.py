@@ -152,6 +152,8 @@ def first_map(could: dict[str, list[StreamMap]], messages: list[Path]) -> LogMap
 
 def summary(frames: LogFrames, log: Log) -> Iterator[str]:
     """The lines about the log on one clock."""
+    import numpy as np
+
     found = frames.skin_log
     for name, tared in frames.tared.items():
         live = tared.noise > 0
@@ -172,5 +174,5 @@ def summary(frames: LogFrames, log: Log) -> Iterator[str]:
         f"  on one clock: {len(found.time)} frames, {len(found.joint_names)} joints, "
         f"{len(found.taxel_ids)} taxels of which {touched} answer, "
         f"{touches} touch{'es' * (touches != 1)} from onset to lift-off"
-        + ("" if found.force is None else f", force up to {found.force.max():.3g} N")
+        + ("" if found.force is None else f", force up to {np.nanmax(found.force):.3g} N")
     )

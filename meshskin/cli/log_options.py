@@ -89,17 +89,19 @@ def from_log(options: argparse.Namespace, progress: Progress | None) -> FromLog:
     from ..recording.log_map import LogMap
     from ..recording.readers import read_log
     from ..recording.resample import log_frames
+    from ..robot.robot import Robot
 
     _check(options)
     log_map = LogMap.load(options.map)
     log = read_log(options.recording, log_map, progress=True, scan=options.scan)
-    frames = log_frames(log, log_map)
+    robot = None if options.indenter_mm is None else Robot.from_urdf(options.body, options.folder)
+    frames = log_frames(log, log_map, robot)
     belief = belief_of(options, frames.skin_log.taxel_ids)
     lines = [*(f"  note: {note}" for note in log.notes), *summary(frames, log)]
-    if options.indenter_mm is None:
+    if robot is None:
         recording = recording_from_log(log, log_map, frames)
         return FromLog(recording, belief, lines, frames.skin_log)
-    found, robot = _calibrate_joints(options, frames.skin_log, belief, progress)
+    found, robot = _calibrate_joints(options, robot, frames.skin_log, belief, progress)
     return FromLog(found.recording, belief, lines + _lines(found), frames.skin_log, found, robot)
 
 
@@ -121,17 +123,19 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _calibrate_joints(
-    options: argparse.Namespace, log: SkinLog, belief: Belief, progress: Progress | None
+    options: argparse.Namespace,
+    robot: Robot,
+    log: SkinLog,
+    belief: Belief,
+    progress: Progress | None,
 ) -> tuple[LogCalibration, Robot]:
     """The calibration by joint angles, and the robot with what was estimated of it."""
     from ..estimation.kinematics.calibrate_log import calibrate_log
     from ..robot.contact_kinematics import SIGMAS, USUAL
-    from ..robot.robot import Robot
 
     for name in options.robot_unknown or ():
         check_name("unknown of a robot", name, tuple(SIGMAS))
     unknown = {name: SIGMAS[name] for name in options.robot_unknown or USUAL}
-    robot = Robot.from_urdf(options.body, options.folder)
     centre = 1e-3 * np.array(options.indenter_mm)
     kinematics = robot.contact_kinematics(options.link, centre, options.carrier, unknown=unknown)
     found = calibrate_log(log, kinematics, belief, progress)

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array, Index, nearest_rows, robust_sigma
 from ..core.errors import ConfigError, RecordingError
+from .contact_force import REST_SIGMAS
 from .log_map import BODY, CONTACT, LogMap, Pairs, StreamMap
 from .readers.yarp import SKIN_CONTACTS
 from .recording import CONTACTS as CONTACT_SCHEMA
 from .recording import FROM_TAXELS, QUATERNION, UNCOMPARED, Recording
-from .resample import REST_SIGMAS, LogFrames, paired, with_skin_late
+from .resample import LogFrames, paired, with_skin_late
 from .skin_log import SkinLog
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
 from .tare import thresholds

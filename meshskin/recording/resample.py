@@ -11,16 +11,15 @@ from ..core.arguments import check_type
 from ..core.arrays import Array, nearest_rows
 from ..core.errors import ConfigError, RecordingError
 from ..robot.contact_kinematics import unwrapped
+from ..robot.robot import Robot
 from .clock_offset import ClockOffset, estimates, one_clock
+from .contact_force import contact_force, force_at_rest
 from .log_map import LogMap, Pairs, StreamMap
 from .readers.yarp import SKIN_CONTACTS
 from .skin_log import SkinLog
 from .stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, overlap
 from .stream_checks import check_single, without_garbage
-from .tare import BLOCK, COLUMNS, MIN_REST, SIGMA_PER_MAD, Tared, at_rest, tare
-
-REST_SIGMAS = 3.0
-"""Force in standard deviations of its noise at rest, up to which it counts as zero."""
+from .tare import COLUMNS, Tared, tare
 
 
 @dataclass(frozen=True)
@@ -37,9 +36,10 @@ class LogFrames:
     """Whether the clock of the skin is that of the other streams, or its offset is known."""
 
 
-def log_frames(log: Log, log_map: LogMap) -> LogFrames:
+def log_frames(log: Log, log_map: LogMap, robot: Robot | None = None) -> LogFrames:
     """The streams of a log that was read with `log_map`, at the frames of its first skin.
 
+    robot: of the log, with which the weight that a force sensor carries is found and subtracted.
     Raises ConfigError for a map without taxels and for taxels or joints that occur twice,
     RecordingError for a log that was not read with the map, times that run backwards, streams of
     two publishers, streams that do not overlap in time, and a skin that never answers.
@@ -102,11 +102,13 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
         column += len(s.fields)
     pressed = [tared[s.name].in_contact[nearest_rows(_on_clock(s, m), frames)] for s, m in skins]
     in_contact = np.any(pressed, axis=0)
-    force = _force(frames, in_contact, pairs)
+    names, angles = _joints(frames, pairs)
+    wrenches = [pair for pair in pairs if pair[1].kind == WRENCH]
+    force, said = contact_force(frames, in_contact, wrenches, robot, names, angles)
     for stream, given in pairs if force is None else ():
         if given.kind == CONTACTS and "force" in stream.fields:
-            notes += _force_at_rest(frames, in_contact, stream, given)
-    names, angles = _joints(frames, pairs)
+            said += force_at_rest(frames, in_contact, stream, given)
+    notes += said
     noise = np.concatenate([tared[s.name].noise * m.factor for s, m in skins])
     skin_log = SkinLog(
         frames, names, angles, ids, readings, noise, in_contact, force,
@@ -248,77 +250,3 @@ def _joint(frames: Array, times: Array, angles: Array) -> Array:
     for gap in own.gaps:
         out[(frames > gap.start) & (frames < gap.end)] = np.nan
     return np.asarray(out)
-
-
-def _force(frames: Array, in_contact: NDArray[np.bool_], pairs: Pairs) -> Array | None:
-    """Contact force (n,), N, at the frames; None without a wrench.
-
-    The level at rest, of the sensor and of the weight that it carries, is that of the frames
-    without contact about it. Raises RecordingError if there are none.
-    """
-    wrenches = [pair for pair in pairs if pair[1].kind == WRENCH]
-    if not wrenches:
-        return None
-    if len(wrenches) > 1:
-        raise ConfigError(
-            "the map names two wrenches", value=", ".join(stream.name for stream, _ in wrenches),
-            remedy="leave one out",
-        )  # fmt: skip
-    stream, given = wrenches[0]
-    times = stream.times - (given.delay or 0.0)
-    force = np.stack(
-        [np.interp(frames, times, given.factor * values) for values in stream.values[:, :3].T],
-        axis=1,
-    )
-    force -= _rest_level(frames, force, in_contact, stream.name)
-    if given.axis is None:
-        return np.asarray(np.linalg.norm(force, axis=1))
-    axis = np.array(given.axis) / np.linalg.norm(given.axis)
-    return np.asarray(force @ axis)
-
-
-def _force_at_rest(
-    frames: Array, in_contact: NDArray[np.bool_], stream: Stream, given: StreamMap
-) -> list[str]:
-    """The note on contacts whose force is not zero where no taxel answers, if it is not."""
-    times = stream.times - (given.delay or 0.0)
-    row = nearest_rows(frames, times)
-    within = (times >= frames[0]) & (times <= frames[-1])
-    force = stream.values[within & ~in_contact[row], stream.fields.index("force")]
-    force = force[np.isfinite(force)]
-    if len(force) < max(MIN_REST * len(stream), 1):
-        return []
-    level = float(np.median(force))
-    if abs(level) <= REST_SIGMAS * SIGMA_PER_MAD * float(np.median(np.abs(force - level))):
-        return []
-    return [
-        f"the force of {stream.name} is {level:.3g} N in the median of {len(force)} rows in which "
-        "no taxel answers; if nothing was touched in them, subtract this level at rest"
-    ]
-
-
-def _rest_level(frames: Array, values: Array, in_contact: NDArray[np.bool_], name: str) -> Array:
-    """Medians (n, k) of the values at rest, in blocks of time, linear between them.
-
-    The median, as the indenter may press beside the taxels, and as the skin's stamps may be late.
-    Raises RecordingError where no block has enough frames without contact.
-    """
-    block = ((frames - frames[0]) / BLOCK).astype(int)
-    for rest in (at_rest(frames, in_contact), ~in_contact):
-        count = np.bincount(block)
-        quiet = np.bincount(block[rest], minlength=len(count))
-        known = np.flatnonzero((quiet > 0) & (quiet >= MIN_REST * count))
-        if len(known):
-            break
-    else:
-        raise RecordingError(
-            f"the level of {name} at rest is not known: the skin is in contact all the time",
-            value=f"{np.mean(~in_contact):.0%} of {len(frames)} frames without contact",
-            limit=f"{MIN_REST:.0%} of {BLOCK:g} s",
-            remedy=f"lift off for a second at the start of a log, or leave {name} out of the map",
-        )
-    at = [rest & (block == k) for k in known]
-    middle = np.array([frames[rows].mean() for rows in at])
-    levels = np.array([np.median(values[rows], axis=0) for rows in at])
-    columns = [np.interp(frames, middle, level) for level in levels.T]
-    return np.stack(columns, axis=1)

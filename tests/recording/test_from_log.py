@@ -9,13 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from meshskin.core.errors import ConfigError, MeshskinError, RecordingError, UnknownNameError
+from meshskin.recording.contact_force import _rest_level
 from meshskin.recording.from_log import recording_from_log
 from meshskin.recording.log_contacts import joint_path
 from meshskin.recording.log_map import LogMap, StreamMap
 from meshskin.recording.readers import read_log
 from meshskin.recording.readers.yarp import SKIN_CONTACTS
 from meshskin.recording.recording import UNCOMPARED, Recording
-from meshskin.recording.resample import _rest_level, log_frames
+from meshskin.recording.resample import log_frames
 from meshskin.recording.stream import Log, Stream
 
 from .robot_log import JOINTS, RobotLog

@@ -1,0 +1,83 @@
+"""Contact forces by a sensor that carries a tool, against pinocchio's kinematics."""
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+import pytest
+from scipy.spatial.transform import Rotation
+
+import meshskin as ms
+from meshskin.recording.contact_force import contact_force
+from meshskin.recording.log_map import StreamMap
+from meshskin.recording.stream import Stream
+
+PUMA = Path(__file__).parents[2] / "bodies" / "puma560.urdf"
+GIVEN = StreamMap("/wrench", "wrench")
+NAMES = tuple(f"joint{k}" for k in range(1, 7))
+
+
+def stroking(seed, mass=0.8, sign=1.0, vertical=(0.0, 0.0, 1.0)):
+    """Frames (n,) of a robot that moves from posture to posture and is touched in every second one,
+    in contact or not, true forces, wrenches (n, 6), and joint angles (n, 6)."""
+    rng = np.random.default_rng(seed)
+    postures = rng.normal(0.2, 0.4, (61, 6))
+    time = np.arange(0, 60, 0.02)
+    way, turn = np.modf(time)
+    way = np.clip(2 * way, 0, 1)[:, None]
+    way, turn = 0.5 - 0.5 * np.cos(np.pi * way), turn.astype(int)
+    angles = postures[turn] + way * (postures[turn + 1] - postures[turn])
+    phase = np.mod(time, 2) - 1.6
+    force = np.where((turn % 2 == 1) & (phase >= 0) & (phase < 0.3), 3.0, 0.0)
+    model = pinocchio.buildModelFromUrdf(str(PUMA))
+    data = model.createData()
+    wrench = np.zeros((len(time), 6))
+    mounted = Rotation.from_euler("xyz", [0.3, -0.2, 1.0]).as_matrix()
+    for k, q in enumerate(angles):
+        pinocchio.forwardKinematics(model, data, q)
+        down = -data.oMi[5].rotation.T @ vertical  # of the link before the last
+        wrench[k, :3] = sign * mounted @ (9.81 * mass * down)
+    push = rng.normal(size=(61, 3))
+    push /= np.linalg.norm(push, axis=1)[:, None]
+    wrench[:, :3] += force[:, None] * push[turn] + [1.0, -2.0, 4.0]
+    wrench[:, :3] += rng.normal(0, 0.02, (len(time), 3))
+    return time, force > 0, force, wrench, angles
+
+
+def found(world, robot):
+    time, touched, _, wrench, angles = world
+    stream = Stream("/wrench", "", time, wrench, tuple("abcdef"), "wrench", "N")
+    force, notes = contact_force(time, touched, [(stream, GIVEN)], robot, NAMES, angles)
+    return force, notes
+
+
+@pytest.mark.parametrize(
+    "kind", [{}, {"sign": -1.0}, {"vertical": (0.0, 1.0, 0.0)}], ids=["floor", "sign", "wall"]
+)
+def test_the_weight_of_a_tool_is_subtracted(kind):
+    world = stroking(1, **kind)
+    touched, truth = world[1], world[2]
+    world[4][100:120] = np.nan  # a gap of the joints
+    force, notes = found(world, ms.Robot.from_urdf(PUMA))
+    assert np.flatnonzero(np.isnan(force)).tolist() == list(range(100, 120))
+    force[100:120] = truth[100:120]
+    error = (force - truth)[touched]
+    assert np.sqrt(np.mean(error**2)) < 0.05
+    assert np.median(force[~touched]) < 0.05
+    (note,) = notes
+    assert note.startswith("/wrench carries 0.8 kg that turn with the link link5")
+
+
+def test_without_the_robot_the_weight_is_named_as_a_cause():
+    world = stroking(2)
+    force, (note,) = found(world, None)
+    assert np.sqrt(np.mean((force - world[2])[world[1]] ** 2)) > 1.0
+    assert "N off its level at rest in the median" in note
+    assert note.endswith("a calibration with the URDF subtracts")
+
+
+def test_a_sensor_without_a_tool_is_left_as_it_is():
+    world = stroking(3, mass=0.0)
+    with_robot, notes = found(world, ms.Robot.from_urdf(PUMA))
+    assert notes == []
+    np.testing.assert_array_equal(with_robot, found(world, None)[0])
