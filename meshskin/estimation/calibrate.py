@@ -80,8 +80,8 @@ class Estimation:
         verdict = judge(self.recording, self._near, found, result.departures, self.data)
         stage.end()
         judged = time.perf_counter() - begin
-        more = {name: found.seconds[name] + judged for name in ("other", "total")}
-        return replace(found, verdict=verdict, seconds={**found.seconds, **more})
+        seconds = found.seconds | {n: found.seconds[n] + judged for n in ("other", "total")}
+        return replace(found, verdict=verdict, seconds=seconds)
 
     @single_threaded()
     def without_verdict(self, method: str, progress: Progress | None) -> Calibration:
@@ -187,8 +187,8 @@ class Estimation:
                 raise
             return other
         if self._contradicted(found) and not fails_by_itself(self.recording, self.data):
-            other = self._learned(stage)
-            return found.result() if other is None else found.found.with_jump(other)
+            if (other := self._learned(stage)) is not None:
+                return found.found.with_jump(other)
         return found.result()
 
     @property
@@ -200,11 +200,8 @@ class Estimation:
         fit = self.least_squares if near is self.data else trilaterate.least_squares(near)
         found = coactivation.initial_estimate(near, fit)
         known = np.asarray(np.isfinite(self.start).all(axis=1))
-        return replace(
-            found,
-            points=np.where(known[:, None], self.start, found.points),
-            reasons=np.where(known, "", found.reasons),
-        )
+        points = np.where(known[:, None], self.start, found.points)
+        return replace(found, points=points, reasons=np.where(known, "", found.reasons))
 
     def _contradicted(self, found: Optimum) -> bool:
         """Whether the readings contradict the contact model, or cannot, over edges of the body."""

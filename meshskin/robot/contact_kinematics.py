@@ -73,8 +73,12 @@ TURN = 5.0
 
 
 def unwrapped(angles: Array) -> Array:
-    """Angles (n, ...), rad, over time, of endless joints without the jumps by whole turns."""
-    return np.unwrap(angles, TURN, axis=0)
+    """Angles (n, ...), rad, over time, of endless joints without the jumps by whole turns.
+
+    Those that span more than a turn have no such jumps, or are in degrees, and are kept.
+    """
+    span = np.max(angles, axis=0) - np.min(angles, axis=0)
+    return np.where(span <= 2.0 * np.pi, np.unwrap(angles, TURN, axis=0), angles)
 
 
 @dataclass(frozen=True, eq=False)

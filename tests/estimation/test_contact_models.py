@@ -210,17 +210,17 @@ def test_contacts_outside_the_model_are_refused(worlds):
 
 
 def test_a_few_contacts_out_of_the_models_range_are_left_out(sphere):
-    """One contact in forty pressed far too hard is left out with its readings; many are refused."""
+    """One contact in forty whose force is far too large is left out with its readings; many are refused."""
     from meshskin import calibrate, press
 
     rng = np.random.default_rng(8)
     near = sphere.body.closest(sphere.skin.positions[rng.integers(len(sphere.skin), size=400)]
                                + rng.normal(scale=2e-3, size=(400, 3)))  # fmt: skip
-    force = np.full(400, 3.0)
-    alone = calibrate(press(sphere, near.point[10:], force[10:]), sphere.belief())
-    recording = press(sphere, near.point, np.where(np.arange(400) < 10, 40.0, force))
+    alone = calibrate(press(sphere, near.point[10:], 3.0), sphere.belief())
+    pressed = press(sphere, near.point, 3.0)
+    recording = pressed.with_columns(force=np.where(np.arange(400) < 10, 40.0, 3.0))
     found = calibrate(recording, sphere.belief())
     assert "without 10 contacts in which the contact model does not hold" in found.factors
     np.testing.assert_allclose(found.positions, alone.positions, atol=1e-8)
     with pytest.raises(ContactError, match="too wide"):
-        calibrate(press(sphere, near.point, np.full(400, 40.0)), sphere.belief())
+        calibrate(pressed.with_columns(force=np.full(400, 40.0)), sphere.belief())

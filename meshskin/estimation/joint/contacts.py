@@ -337,6 +337,7 @@ class LinearizedContacts:
         return np.asarray(np.exp(log_scale) * self.recorded.force)
 
     def _drift(self, s: Array) -> Array:
-        """Drift (m,), or 0, of ln F of the measured forces."""
-        at = self.parameters.columns.get("force_drift", slice(0, 0))
-        return self.recorded.drifts[:, : at.stop - at.start] @ self._clipped(s)[at]
+        """Drift (m,) of ln F of the measured forces."""
+        if (at := self.parameters.columns.get("force_drift")) is None:
+            return np.zeros(len(self.recorded.force))
+        return self.recorded.drifts @ self._clipped(s)[at]
