@@ -41,7 +41,7 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 """Names of columns beside which those of TORQUES are the translation of a pose."""
 STEPS = (1e-4, 5.0)
 """Median times, s, from one row to the next that streams of a robot have: force sensors have 7 kHz
-at most, and of a touch by hand some rows are needed."""
+at most, and a touch of some seconds has some rows."""
 LATEST = 1e11
 """Largest time, s: clocks of computers, which count from 1970, reach it in the year 5138."""
 
