@@ -73,8 +73,10 @@ TURN = 5.0
 
 
 def unwrapped(angles: Array) -> Array:
-    """Angles (n, ...), rad, over time, of endless joints without the jumps by whole turns."""
-    return np.unwrap(angles, TURN, axis=0)
+    """Angles (n, ...), rad, over time, of endless joints without the jumps by whole turns. Joints
+    that go beyond one turn, or are in degrees, have none."""
+    one = np.ptp(angles, axis=0) <= 2 * np.pi + 1e-6  # rounding
+    return np.where(one, np.unwrap(angles, TURN, axis=0), angles)
 
 
 @dataclass(frozen=True, eq=False)
