@@ -137,7 +137,7 @@ def test_init_says_that_a_log_needs_no_map(tmp_path, monkeypatch, capsys):
 def test_init_says_what_a_log_lacks(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = ["time", "cx", "dy", "ez", *(f"cell{k}" for k in range(5))]
-    np.savetxt("run.csv", np.arange(90.0).reshape(10, 9), "%g", ",", header=",".join(names),
+    np.savetxt("run.csv", np.arange(90.0).reshape(10, 9) / 90, "%g", ",", header=",".join(names),
                comments="")  # fmt: skip
     assert cli.main(["init", "run.csv"]) == 0
     text = (tmp_path / "run_map.toml").read_text()

@@ -25,11 +25,32 @@ def in_turn(earlier, part=slice(None)):
     return stream(both[order], np.concatenate([counts, counts[part]])[order])
 
 
-@pytest.mark.parametrize("earlier", [2.0, 1.003])
+@pytest.mark.parametrize("earlier", [2.0, 1.003, 1.01])
 @pytest.mark.parametrize("part", [slice(None), slice(200, 700)])
 def test_a_stream_with_a_copy_of_itself_is_refused(earlier, part):
     with pytest.raises(RecordingError, match="/skin holds two streams in turn"):
         check_single(in_turn(earlier, part))
+
+
+@pytest.mark.parametrize("frequency", [50.0, 49.9, 48.0])
+@pytest.mark.parametrize("level", [1.5, 3.0])
+def test_mains_hum_is_not_refused(frequency, level):
+    """In taxels of different gains, sampled at 100 Hz."""
+    rng = np.random.default_rng(1)
+    times = np.arange(0, 60, 0.01) + rng.normal(0, 3e-4, 6000)
+    hum = level * np.sin(2 * np.pi * frequency * times + 0.8)[:, None] * rng.uniform(0.7, 1.3, 16)
+    values = 200 + hum + rng.normal(0, 1.0, (6000, 16))
+    check_single(stream(times, values))
+    with pytest.raises(RecordingError, match="two streams in turn"):  # joints have none
+        check_single(stream(times, values, JOINTS))
+
+
+def test_two_skins_in_turn_are_refused_though_evenly_spaced():
+    rng = np.random.default_rng(2)
+    level = rng.uniform(150, 250, (2, 16))
+    values = np.tile(level, (1000, 1)) + rng.normal(0, 1.0, (2000, 16))
+    with pytest.raises(RecordingError, match="two streams in turn"):
+        check_single(stream(np.arange(2000) / 100, values))
 
 
 def test_sound_streams_are_not_refused():

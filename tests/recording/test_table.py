@@ -2,6 +2,7 @@
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 
@@ -186,3 +187,66 @@ def test_what_is_no_table_is_refused(tmp_path, text, words):
             tmp_path / "log.csv",
             LogMap((StreamMap("a_*", "wrench", ("a_1",)),)) if "a_1" in text else None,
         )
+
+
+TAXELS = LogMap((StreamMap("skin_*", "taxels"),))
+
+
+@pytest.mark.parametrize(("unit", "step"), [("s", 1), ("ms", 20), ("us", 2000), ("ns", 10**7)])
+@pytest.mark.parametrize("write", ["csv", "parquet"])
+def test_dates_are_times_in_s(tmp_path, write, unit, step):
+    start = np.datetime64("2026-01-01T00:00:00", unit)
+    stamps = start + (step * np.arange(N)).astype(f"timedelta64[{unit}]")
+    table = pa.table({"stamp": stamps, "skin_1": np.arange(N), "skin_2": np.ones(N)})
+    path = tmp_path / f"log.{write}"
+    pq.write_table(table, path) if write == "parquet" else pa.csv.write_csv(table, path)
+    (stream,) = read_log(path, TAXELS).streams
+    seconds = step * np.arange(N) / {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+    np.testing.assert_allclose(stream.times, 1767225600 + seconds, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("column", "times"),
+    [("stamp", 1.7e12 + 20 * np.arange(N)), ("time", 20.0 * np.arange(N)),
+     ("time_ms", 0.02 * np.arange(N)), ("t", 1.7e12 + 1.0 * np.arange(N))],
+)  # fmt: skip
+def test_times_that_cannot_be_in_their_unit_are_refused(tmp_path, column, times):
+    path = parquet(tmp_path / "log.parquet", {column: times, "skin_1": np.ones(N)})
+    with pytest.raises(RecordingError, match=r"times of skin_\* cannot be in m?s, .* time_unit"):
+        read_log(path, TAXELS)
+
+
+@pytest.mark.parametrize("first", ["0", ""])
+def test_a_column_of_whole_or_missing_numbers_may_have_decimals_later(tmp_path, first):
+    rows = [f"{k / 50:.2f},{first if k < 30_000 else 1.25},{'200,' * 9}200" for k in range(40_000)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time,skin_0," + ",".join(f"x{k}" for k in range(10)), *rows, ""]))
+    assert path.stat().st_size > 1.5 * 2**20  # the first of which tells the types
+    (stream,) = read_log(path, TAXELS).streams
+    assert stream.values[-1, 0] == 1.25
+    assert len(stream) == 40_000
+
+
+def test_names_after_spaces_and_in_quotes(tmp_path):
+    path = csv(tmp_path / "log.csv")
+    lines = path.read_text().splitlines()
+    names = ['"skin_1, thumb"' if name == "skin_1" else name for name in lines[0].split(",")]
+    spaced = [", ".join(names), *(line.replace(",", ", ") for line in lines[1:]), ""]
+    path.write_text("\n".join(spaced))
+    log_map = LogMap((StreamMap("skin", "taxels", ("skin_*",)), StreamMap("q_*", "joints")))
+    taxels, joints = read_log(path, log_map).streams
+    np.testing.assert_allclose(taxels.values[:, 1], COLUMNS["skin_1"])
+    np.testing.assert_allclose(joints.values[:, 2], COLUMNS["q_2"])
+
+
+def test_columns_that_occur_twice_are_refused(tmp_path):
+    path = csv(tmp_path / "log.csv")
+    text = path.read_text()
+    path.write_text(text.replace("skin_3", "skin_2", 1))
+    with pytest.raises(RecordingError, match=r"occurs twice, or the map takes .* got skin_2"):
+        read_log(path, TAXELS)
+    assert len(read_log(path, LogMap((StreamMap("q_*", "joints"),))).streams[0]) == N
+    path.write_text(text)
+    twice = LogMap((StreamMap("skin", "taxels", ("skin_*", "skin_5")),))
+    with pytest.raises(RecordingError, match="got skin_5; rename it in the header, or correct"):
+        read_log(path, twice)

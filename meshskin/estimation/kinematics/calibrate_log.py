@@ -114,7 +114,10 @@ def calibrate_log(
     after, factor = heights.residuals(x)[0], float(np.exp(x[-1]))
     by_joint = joint_residuals(kinematics, path, heights.time, belief.body, after, x[:-1])
     found = _with_clock(found, clock)
-    result = LogCalibration(found, recording, kinematics, after, before, rounds, factor, by_joint)
+    moved = moved if moved > LINEAR else shift if shift > APART else 0.0
+    result = LogCalibration(
+        found, recording, kinematics, after, before, rounds, moved, factor, by_joint
+    )
     verdict = None if found.verdict is None else found.verdict.with_doubts(result.surprises)
     warn_left_out("calibrated", found.reasons_left_out, len(found.ids))
     return replace(result, calibration=replace(found, verdict=verdict))

@@ -51,6 +51,9 @@ class LogCalibration(Value, Card):
     """Heights (m,), m, over those of a contact, with all unknowns zero."""
     rounds: int
     """Number of times that the contacts were computed."""
+    moved: float = 0.0
+    """Median displacement, m, of the contacts in the last round, where it is too large for the
+    estimate to hold; 0 where they are at rest."""
     depth_factor: float = 1.0
     """Depth of the indentations, relative to that under the believed material and force."""
     joint_residuals: tuple[JointResidual, ...] = ()
@@ -135,7 +138,8 @@ class LogCalibration(Value, Card):
     @property
     def surprises(self) -> tuple[str, ...]:
         """Unknowns that are farther from zero than was believed of them, in words: a wrong standard
-        deviation, or an error that is not declared and that they stand in for."""
+        deviation, or an error that is not declared and that they stand in for; and contacts that
+        have not come to rest."""
         sigma = dict(zip(self.kinematics.labels, self.kinematics.sigma, strict=True))
         found = [
             f"{label} is {value:.3g}, {abs(value) / sigma[label]:.2g} times its believed standard "
@@ -158,5 +162,11 @@ class LogCalibration(Value, Card):
                 f"indentations are {self.depth_factor:.2g} times as deep as believed (limit: a "
                 f"factor of {MAX_DEPTH_FACTOR:g}): an error of the indenter's height or radius "
                 "would look like this; check both, the force and Young's modulus"
+            )
+        if self.moved:
+            found.append(
+                f"contacts still moved by {1e3 * self.moved:.2g} mm in the last of {self.rounds} "
+                "rounds: the standard deviations can be too small; calibrate again from what was "
+                "found, with the corrected URDF"
             )
         return tuple(found)

@@ -39,6 +39,11 @@ FORCES, TORQUES = ("fx", "fy", "fz"), ("tx", "ty", "tz")
 """Names of the columns of a wrench."""
 QUATERNION = ("qx", "qy", "qz", "qw")
 """Names of columns beside which those of TORQUES are the translation of a pose."""
+STEPS = (1e-4, 5.0)
+"""Median times, s, from one row to the next that streams of a robot have: force sensors have 7 kHz
+at most, and a touch of some seconds has some rows."""
+LATEST = 1e11
+"""Largest time, s: clocks of computers, which count from 1970, reach it in the year 5138."""
 
 
 def read(
@@ -95,14 +100,16 @@ def _choose(
 
 def _columns(file: Path) -> list[str]:
     """Names of the columns. Raises RecordingError."""
+    import csv
+
     import pyarrow.parquet as pq
 
     try:
         if _is_parquet(file):
             return list(pq.read_schema(file).names)
-        with file.open(encoding="utf-8-sig") as stream:
-            names = [name.strip().strip('"') for name in stream.readline().split(",")]
-    except UnicodeDecodeError:
+        with file.open(encoding="utf-8-sig", newline="") as stream:
+            names = [name.strip() for name in next(csv.reader(stream, skipinitialspace=True), [])]
+    except (UnicodeDecodeError, csv.Error):
         names = []
     except (pa.ArrowInvalid, OSError) as error:
         raise RecordingError(
@@ -159,12 +166,21 @@ def _stream(
     if time not in _columns(file):
         raise UnknownNameError("column", time, _columns(file), f" in {file.name}")
     wanted = columns if given is not None else columns[:1]
-    parts = [
-        _numbers(batch, [time, *wanted], file) for batch in _batches(file, [time, *wanted], notes)
-    ]
+    every = [*_columns(file), time, *wanted]
+    if twice := [name for name in (time, *wanted) if every.count(name) > 2]:
+        raise RecordingError(
+            f"a column of {file.name} occurs twice, or the map takes it twice",
+            value=twice[0],
+            remedy="rename it in the header, or correct values in the map",
+        )
+    parts, dated = [], False
+    for batch in _batches(file, [time, *wanted], notes):
+        dated = pa.types.is_timestamp(batch.column(time).type)
+        parts.append(_numbers(batch, [time, *wanted], file))
     table = np.concatenate(parts) if parts else np.empty((0, 1 + len(wanted)))
-    stated = TIME_UNITS["s" if given is None else given.time_unit]
-    times = table[:, 0] * TIME_UNITS.get(time.lower().rpartition("_")[2], stated)
+    unit = time.lower().rpartition("_")[2]
+    stated = unit if unit in TIME_UNITS else "s" if given is None else given.time_unit
+    times = table[:, 0] * TIME_UNITS["ns" if dated else stated]
     if given is None:
         return Stream(topic, "table", times, np.empty((len(times), 0)), tuple(columns))
     given.check_length(len(columns), 0)
@@ -181,7 +197,23 @@ def _stream(
             value=f"{len(fields)} names", limit=f"{len(columns)} columns",
         )  # fmt: skip
     unit = given.unit or given.si_unit
-    return Stream(topic, "table", times, table[:, 1:], fields, given.kind, unit)
+    stream = Stream(topic, "table", times, table[:, 1:], fields, given.kind, unit)
+    _check_times(stream, time, "ns" if dated else stated)
+    return stream
+
+
+def _check_times(stream: Stream, column: str, unit: str) -> None:
+    """Refuse times that cannot be in their unit."""
+    late = len(stream) > 0 and not np.abs(stream.times).max() < LATEST
+    paced = stream.kind == CONTACTS or not stream.period
+    if late or not (paced or STEPS[0] <= stream.period < STEPS[1]):
+        raise RecordingError(
+            f"the times of {stream.name} cannot be in {unit}",
+            value=f"{column} from {stream.times[0]:g} s in steps of {stream.period:g} s",
+            limit=f"steps of {STEPS[0]:g} to {STEPS[1]:g} s",
+            remedy='give their time_unit in the map, "s", "ms", "us" or "ns", or name the column '
+            "with its unit, time_ms",
+        )
 
 
 def _batches(file: Path, columns: list[str], notes: list[str]) -> Iterator[pa.RecordBatch]:
@@ -211,12 +243,17 @@ def _batches(file: Path, columns: list[str], notes: list[str]) -> Iterator[pa.Re
         stream.seek(max(size - 1, 0))
         whole = stream.read(1) in (b"\n", b"\r")
     options = {
-        "read_options": csv.ReadOptions(use_threads=False),
+        "read_options": csv.ReadOptions(
+            use_threads=False, column_names=_columns(file), skip_rows=1
+        ),
         "parse_options": csv.ParseOptions(invalid_row_handler=skip),
-        "convert_options": csv.ConvertOptions(include_columns=columns),
     }
+    convert = csv.ConvertOptions(include_columns=columns)
     try:
-        with csv.open_csv(file, **options) as reader:
+        with csv.open_csv(file, convert_options=convert, **options) as reader:
+            convert.column_types = dict(map(_widest, reader.schema))
+        short.clear()
+        with csv.open_csv(file, convert_options=convert, **options) as reader:
             held = None
             for batch in reader:
                 if held is not None:
@@ -239,13 +276,25 @@ def _batches(file: Path, columns: list[str], notes: list[str]) -> Iterator[pa.Re
     yield held if whole or short else held.slice(0, len(held) - 1)
 
 
+def _widest(field: pa.Field) -> tuple[str, pa.DataType]:
+    """Name and type of a column whose first rows are of a type: integers may have decimals later,
+    missing numbers be there, and seconds have parts."""
+    if pa.types.is_integer(field.type) or pa.types.is_null(field.type):
+        return field.name, pa.float64()
+    if pa.types.is_timestamp(field.type):
+        return field.name, pa.timestamp("ns", field.type.tz)
+    return field.name, field.type
+
+
 def _numbers(batch: pa.RecordBatch, columns: list[str], file: Path) -> np.ndarray:
-    """Columns of a batch as numbers (n, k). Raises RecordingError."""
+    """Columns of a batch as numbers (n, k), of dates ns since 1970. Raises RecordingError."""
     try:
-        parts = [
-            np.asarray(batch.column(name).to_numpy(zero_copy_only=False), dtype=float)
-            for name in columns
-        ]
+        parts = []
+        for name in columns:
+            column = batch.column(name)
+            if pa.types.is_timestamp(column.type):
+                column = column.cast(pa.timestamp("ns")).cast(pa.int64())
+            parts.append(np.asarray(column.to_numpy(zero_copy_only=False), dtype=float))
     except (TypeError, ValueError) as error:
         raise RecordingError(
             f"the columns of {file.name} must contain numbers: {error}",

@@ -83,6 +83,11 @@ def test_a_small_exploration(small, monkeypatch):
     assert np.median(np.abs(found.heights_before)) > 1e-3
     assert found.surprises == ()
     assert found.calibration.verdict.level == "PASS"
+    assert found.moved == 0.0
+    (surprise,) = replace(found, moved=4e-4).surprises
+    assert surprise.startswith(
+        f"contacts still moved by 0.4 mm in the last of {found.rounds} round"
+    )
     doubted = replace(found.kinematics, unknown=KNOWN | {"clock_offset": 5e-3})
     tight = replace(found, kinematics=doubted)
     (surprise,) = tight.surprises
@@ -107,6 +112,15 @@ def test_a_small_exploration(small, monkeypatch):
     known = position_errors(calibrate(truth, belief(small)), small.scene.skin)
     errors = position_errors(found.calibration, small.scene.skin)
     assert np.sqrt(np.mean(errors**2)) < 1.3 * np.sqrt(np.mean(known**2))
+
+
+@pytest.mark.slow
+def test_contacts_that_have_not_come_to_rest_are_a_doubt(small, monkeypatch):
+    monkeypatch.setattr("meshskin.estimation.kinematics.calibrate_log.MAX_ROUNDS", 1)
+    found = calibrate_log(small.log, small.kinematics(**KNOWN), belief(small))
+    assert found.moved > 2e-6
+    assert found.calibration.verdict.level != "PASS"
+    assert any("contacts still moved" in words for words in found.calibration.verdict.reasons)
 
 
 @pytest.mark.slow
