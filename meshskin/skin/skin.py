@@ -275,7 +275,7 @@ class Skin(Value, Card, Tabular):
         check_type(Body, body, "what a skin is moved onto")
         at = body.closest(self.positions)
         distance = np.abs(at.distance)
-        if len(self) and distance.max() > within:
+        if len(self) and distance.max() > check_real("within", within, "m", error=SkinError):
             worst = int(np.argmax(distance))
             raise SkinError(
                 f"taxel {self.ids[worst]} is too far from the surface of {body.name}",

@@ -79,6 +79,7 @@ CALLS = {
     "a contact of a name": (lambda s: s.belief(contact="herz"), "did you mean hertz"),
     "a payload beyond floats": (lambda s: s.with_(payload=10**400), "a finite number, got 1000"),
     "a complex payload": (lambda s: s.with_(payload=np.complex64(1)), "must be a finite number"),
+    "onto within nan": (lambda s: s.skin.onto(s.body, np.nan), "within must be a finite number"),
     "a skin of nothing": (
         lambda s: s.with_(skin=ms.Skin(np.empty((0, 4, 4)), np.empty(0, dtype=int))),
         "number of a scene's taxels .*got 0, limit: at least 1",
