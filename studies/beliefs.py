@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from dots import dots
+from setups import spiral
 
 import meshskin as ms
 from meshskin.core.atomic_io import write_json
@@ -62,12 +63,8 @@ def cases() -> dict[str, Case]:
 
 def contacts(scene: ms.Scene) -> tuple[np.ndarray, np.ndarray]:
     """Contact points (m, 3), m, all over the skin, and spins (m,), rad, that vary."""
-    rng, centre = np.random.default_rng(3), scene.skin.positions.mean(axis=0)
-    reach = np.linalg.norm(scene.skin.positions - centre, axis=1).max() + 4e-3
-    k = np.arange(CONTACTS) + 0.5
-    angle, radius = np.pi * (3 - np.sqrt(5)) * k, reach * np.sqrt(k / CONTACTS)
-    flat = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(CONTACTS)])
-    return scene.body.closest(centre + flat).point, rng.uniform(-np.pi, np.pi, CONTACTS)
+    points = scene.body.closest(spiral(scene.skin, CONTACTS, 4e-3)).point
+    return points, np.random.default_rng(3).uniform(-np.pi, np.pi, CONTACTS)
 
 
 def study(case: Case, seeds: int) -> dict[str, float]:

@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from dots import dots
 from scipy.stats import chi2
+from setups import spiral
 
 import meshskin as ms
 from meshskin.core import se3
@@ -161,13 +162,8 @@ def contacts(scene: ms.Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (m, 3), m, over the skin and a patch's radius beyond, forces (m,), N, spins, rad."""
     rng, positions = np.random.default_rng(7), scene.skin.positions
     reach, count = scene.patch.semi_axes[0], round(CONTACTS * len(scene.skin) / TAXELS)
-    centre = positions.mean(axis=0)
     if scene.skin.normals @ scene.axis @ np.ones(len(positions)) > 0.9 * len(positions):
-        k = np.arange(count) + 0.5
-        radius = np.linalg.norm(positions - centre, axis=1).max() + reach
-        angle, radius = np.pi * (3 - np.sqrt(5)) * k, radius * np.sqrt(k / count)
-        flat = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(count)])
-        points = centre + flat
+        points = spiral(scene.skin, count, reach)
     else:  # all round: about the taxels
         near = positions[np.arange(count) % len(positions)]
         points = near + rng.uniform(-2 * reach, 2 * reach, (count, 3))

@@ -25,17 +25,17 @@ import sys
 import traceback
 import warnings
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
 from typing import Any
 
 import numpy as np
-import trimesh
 from dots import dots
+from setups import load_link, pressed
 
 import meshskin as ms
-from meshskin.core.errors import MeshError, MeshskinError
+from meshskin.core.errors import MeshskinError
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.report import theme
@@ -44,8 +44,6 @@ ERROR, SIGMAS = 0.3, 5.0
 """Error, mm, and error relative to the stated standard deviation of a taxel that is wrong."""
 SMALL = 0.06
 """Largest extent, m, of a small link."""
-LARGEST_IN_METRES = 5.0
-"""Extent of a file above which its unit is mm."""
 TAXELS = 60
 """Taxels of a skin."""
 MAX_PLANNING = 10.0
@@ -182,31 +180,16 @@ def errors(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
 
 def link_scene(file: Path, seed: int, lane: float) -> ms.Scene:
     """A link with a skin of TAXELS in a cap of a random direction, moved over an indenter."""
-    extent = float(np.max(trimesh.load(file, process=False).extents))
-    units = "mm" if extent > LARGEST_IN_METRES else "m"
-    small = extent * (1e-3 if units == "mm" else 1.0) < SMALL
-    try:
-        body = ms.Body.load(file, units=units)
-    except MeshError:
-        body = ms.Body.load(file, units=units, open=True)
+    body = load_link(file)
+    small = float(body.mesh.extents.max()) < SMALL
     direction = np.random.default_rng(seed).normal(size=3)
     skin = ms.Skin.cover(
         body, spacing=3e-3 if small else 6e-3, count=TAXELS, seed=seed,
         region=Cap(direction=tuple(direction / np.linalg.norm(direction))),
         disc_radius=1e-3 if small else 2e-3,
     )  # fmt: skip
-    base = ms.Scene.load("sphere_noisy")
-    return base.with_(
-        name=file.stem,
-        body=body,
-        skin=skin,
-        contact="auto",
-        material=ms.Material(young=1.2e6 if small else 0.4e6),
-        indenter=ms.Indenter.sphere(2e-3 if small else 8e-3),
-        law=replace(base.law, force_reference=1.0 if small else 3.0),
-        loop=replace(base.loop, mode="quasi_static"),
-        exploration=replace(base.exploration, pattern="lanes", lane_spacing=lane),
-    )
+    radius, young, force = (2e-3, 1.2e6, 1.0) if small else (8e-3, 0.4e6, 3.0)
+    return pressed(skin, body, file.stem, radius=radius, young=young, force=force, lane=lane)
 
 
 def line(row: dict[str, Any]) -> str:

@@ -24,7 +24,6 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from time import perf_counter
@@ -33,6 +32,7 @@ from xml.etree import ElementTree
 
 import link_meshes
 import numpy as np
+from setups import pressed
 
 import meshskin as ms
 from meshskin.core.atomic_io import write_json
@@ -137,27 +137,13 @@ BODIES: dict[str, Callable[[Path, bool], tuple[ms.Body, ms.Skin]]] = {
 }
 
 
-def scene(body: ms.Body, skin: ms.Skin, name: str) -> ms.Scene:
-    """The scene of the study."""
-    base = ms.Scene.load("sphere_noisy")
-    return base.with_(
-        name=name,
-        body=body,
-        skin=skin,
-        contact="elliptic",
-        material=ms.Material(young=0.4e6),
-        indenter=ms.Indenter.sphere(0.008),
-        loop=replace(base.loop, mode="quasi_static"),
-        exploration=replace(base.exploration, pattern="lanes", lane_spacing=2.5e-3),
-    )
-
-
 def measure_body(
     name: str, data: Path, full: bool = False
 ) -> tuple[dict[str, Any], tuple[Any, ...]]:
     """One body's row of the table, and what is drawn of it: positions (n, 3), errors (n,), mm."""
     started = perf_counter()
-    world = scene(*BODIES[name](data, full), name)
+    body, skin = BODIES[name](data, full)
+    world = pressed(skin, body, name, radius=0.008, young=0.4e6, contact="elliptic")
     explored = plan_exploration(world)
     recording = ms.simulate(world, seed=1)
     calibration = ms.calibrate(recording, world.belief())

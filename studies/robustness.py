@@ -30,6 +30,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 from dots import dots
+from setups import spiral
 
 import meshskin as ms
 from meshskin.core.atomic_io import write_json
@@ -97,12 +98,9 @@ class World:
         self.scene = base.with_(effects=(), readout=ms.Readout(threshold_relative=0.0))
         self.skin, self.peak = base.skin, base.patch.peak
         self.belief = base.belief()
-        k, centre = np.arange(CONTACTS) + 0.5, base.skin.positions.mean(axis=0)
-        reach = np.linalg.norm(base.skin.positions - centre, axis=1).max() + 4e-3
-        angle, radius = np.pi * (3 - np.sqrt(5)) * k, reach * np.sqrt(k / CONTACTS)
-        flat = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0 * k])
+        points = spiral(base.skin, CONTACTS, 4e-3)
         order = np.random.default_rng(0).permutation(CONTACTS)  # no part of the skin comes last
-        self.quiet = ms.press(self.scene, base.body.closest((centre + flat)[order]).point)
+        self.quiet = ms.press(self.scene, base.body.closest(points[order]).point)
         column = {int(k): j for j, k in enumerate(self.skin.ids)}
         self.exact = np.zeros((CONTACTS, len(self.skin)))
         columns = [column[int(k)] for k in self.quiet.reading_taxel]

@@ -22,7 +22,6 @@ import argparse
 import json
 import sys
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -31,9 +30,10 @@ import numpy as np
 import trimesh
 from dots import dots
 from scipy.spatial import cKDTree
+from setups import load_link, pressed
 
 import meshskin as ms
-from meshskin.core.errors import MeshError, MeshskinError
+from meshskin.core.errors import MeshskinError
 from meshskin.report import theme
 
 POINTS = 1500
@@ -42,8 +42,6 @@ DENSE = 300_000
 """Samples of a mesh for the test of fit."""
 OVERLAP = 0.1e-3
 """Overlap of a sphere with the mesh that still counts as a fit, m."""
-LARGEST_IN_METRES = 5.0
-"""Extent of a file above which its unit is mm."""
 
 
 def main() -> int:
@@ -83,7 +81,7 @@ def main() -> int:
 
 def measure_mesh(file: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
     """The rows of one mesh: bare and skinned."""
-    body = load(file)
+    body = load_link(file)
     radius = 1e-3 * options.radius_mm
     points, normals = even_points(body.mesh)
     seen = visible(body.mesh, points, normals)
@@ -120,16 +118,6 @@ def measure_mesh(file: Path, options: argparse.Namespace) -> list[dict[str, Any]
             }
         )
     return rows
-
-
-def load(file: Path) -> ms.Body:
-    """The body of a file, closed or open."""
-    extent = float(np.max(trimesh.load(file, process=False).extents))
-    units = "mm" if extent > LARGEST_IN_METRES else "m"
-    try:
-        return ms.Body.load(file, units=units)
-    except MeshError:
-        return ms.Body.load(file, units=units, open=True)
 
 
 def even_points(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
@@ -188,18 +176,10 @@ class Found:
 def calibrated(body: ms.Body, radius: float, options: argparse.Namespace) -> Found:
     """The taxels all over a body after simulation and calibration."""
     skin = ms.Skin.cover(body, count=options.taxels, seed=1, disc_radius=min(2e-3, 0.3 * radius))
-    base = ms.Scene.load("sphere_noisy")
-    scene = base.with_(
-        name=body.name,
-        body=body,
-        skin=skin,
-        contact="auto",
-        material=ms.Material(young=1e3 * options.young_kpa),
-        indenter=ms.Indenter.sphere(radius),
-        law=replace(base.law, force_reference=options.force_n),
-        loop=replace(base.loop, mode="quasi_static"),
-        exploration=replace(base.exploration, pattern="lanes", lane_spacing=1e-3 * options.lane_mm),
-    )
+    scene = pressed(
+        skin, body, body.name, radius=radius, young=1e3 * options.young_kpa,
+        force=options.force_n, lane=1e-3 * options.lane_mm,
+    )  # fmt: skip
     recording = ms.simulate(scene, seed=1)
     calibration = ms.calibrate(recording, scene.belief())
     return Found(skin, calibration, recording.metadata.get("unreachable", {}))

@@ -35,6 +35,7 @@ from . import (
     scenes,
     study,
 )
+from .options import in_options
 
 COMMANDS = (
     run, calibrate, recalibrate, live, report, init, log, scenes, effects, cost, study, check, lint,
@@ -46,10 +47,6 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C, 128 + SIGINT, as shells have it."""
 CLOSED_PIPE = 141
 """Exit code when the reader of the output is gone, 128 + SIGPIPE, as shells have it."""
-OPTIONS = {"open=True": "--open", " (scan=True)": "", 'kind="collision"': "--link-mesh collision"}
-"""Words of messages on arguments in Python, and those for the command line."""
-
-
 atexit.register(gc.freeze)  # the objects that are left at exit are not searched again: 0.6 s less
 
 
@@ -76,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return CLOSED_PIPE
         except MeshskinError as error:
             if not interrupted:
-                print(f"meshskin: {_in_options(str(error))}", file=sys.stderr)
+                print(f"meshskin: {in_options(str(error))}", file=sys.stderr)
                 return BAD_INPUT
         except KeyboardInterrupt:
             pass
@@ -86,13 +83,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise
     print("meshskin: interrupted; no half-written file is left", file=sys.stderr)
     return INTERRUPTED
-
-
-def _in_options(text: str) -> str:
-    """A message with options of the command line in place of arguments in Python."""
-    for argument, option in OPTIONS.items():
-        text = text.replace(argument, option)
-    return text
 
 
 @contextmanager

@@ -27,7 +27,7 @@ from . import belief_options, export_options, log_options
 from .belief_options import belief_of
 from .export_options import Export
 from .log_options import CORRECTED, FromLog, from_log
-from .options import integer, refuse
+from .options import in_options, integer, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -216,7 +216,7 @@ def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
     from ..report.words import modulus_words
 
     lines = [
-        *([str(found.verdict)] if found.verdict is not None else []),
+        *([in_options(str(found.verdict))] if found.verdict is not None else []),
         *(f"  touch next: {words}" for words in metrics.get("next_touches", ())),
         f"{metrics['determined']} of {metrics['taxels']} taxels determined from "
         f"{metrics['readings']} readings in {metrics['contacts']} contacts",

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from ..core.arrays import Array
     from ..estimation.calibration import Calibration
 
-URDF_FORMATS = ("urdf", "urdf_tactile")
-"""Formats that can name a parent link."""
 SUFFIXES = {"icub": "txt", "urdf_tactile": "urdf", "mjcf": "xml"}
 """Suffixes of the formats whose name is none."""
 
@@ -65,7 +63,7 @@ class Export:
     def of(cls, options: argparse.Namespace) -> Export | None:
         """The export that the options ask for; None: none. Raises ConfigError, SkinError."""
         from ..core.atomic_io import check_writable
-        from ..skin.files import FORMATS, check_format
+        from ..skin.files import FORMATS, check_format, check_frames
 
         if options.export is None:
             names = ("transform", "parent", "export_format")
@@ -76,11 +74,7 @@ class Export:
         check_format(kind)
         if name in FORMATS:
             path = options.out / f"skin.{SUFFIXES.get(name, name)}"
-        if options.parent is not None and kind not in URDF_FORMATS:
-            raise ConfigError(
-                "--parent needs a URDF", value=kind, limit=" or ".join(URDF_FORMATS),
-                remedy="export a .urdf file, or leave --parent out",
-            )  # fmt: skip
+        check_frames(kind, options.link, options.parent)
         of_urdf = options.body is not None and not body_options.is_mesh(options.body)
         if options.transform is not None and (options.link is None or of_urdf):
             raise ConfigError(

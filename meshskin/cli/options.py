@@ -3,10 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable, Iterable
 
 from ..core.arguments import check_real
 from ..core.errors import ConfigError
+
+OPTIONS = {"open=True": "--open", " (scan=True)": "", 'kind="collision"': "--link-mesh collision"}
+"""Words of messages on arguments in Python, and those for the command line."""
+
+
+def in_options(text: str) -> str:
+    """A message with options of the command line in place of arguments in Python."""
+    for argument, option in OPTIONS.items():
+        text = text.replace(argument, option)
+    text = re.sub(r"units=['\"](\w+)['\"]", r"--units \1", text)
+    names = re.compile(r"\w+")
+    return re.sub(
+        r"unknown=\(([^)]*)\)", lambda m: " ".join(["--unknown", *names.findall(m[1])]), text
+    )
 
 
 def real(

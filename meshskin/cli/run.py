@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import live
 from .calibrate import response_lines, row
-from .options import integer, real, refuse
+from .options import in_options, integer, real, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def summary(result: Result, folder: Path) -> str:
     found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
     lines = [
         *filter(None, [force.get("departure"), m.get("budget", {}).get("above")]),
-        *([str(calibration.verdict)] if calibration.verdict is not None else []),
+        *([in_options(str(calibration.verdict))] if calibration.verdict is not None else []),
         f"{m['scene']}: {found} of {m['taxels']} taxels calibrated from "
         f"{m['readings']} readings in {m['contacts']} contacts",
         *_errors(m),

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from meshskin import cli, pipeline
+from meshskin.cli.options import in_options
 
 
 def toml(tmp_path, text):
@@ -299,3 +300,12 @@ def test_an_interruption_that_a_library_swallows_still_ends_in_the_exit_code(mon
     monkeypatch.setattr(cli.scenes, "command", swallow)
     assert cli.main(["scenes"]) == cli.INTERRUPTED
     assert capsys.readouterr().err.startswith("meshskin: interrupted")
+
+
+def test_messages_name_options_of_the_command_line():
+    text = (
+        """estimate unknown=("modulus", "force_scale"); likely millimetres: units='mm', open=True"""
+    )
+    said = "estimate --unknown modulus force_scale; likely millimetres: --units mm, --open"
+    assert in_options(text) == said
+    assert in_options('unknown=("gain",)') == "--unknown gain"

@@ -11,7 +11,7 @@ from meshskin import cli
 from meshskin.cli import calibrate
 from meshskin.cli.export_options import Export
 from meshskin.core import se3
-from meshskin.core.errors import ConfigError
+from meshskin.core.errors import ConfigError, SkinError
 
 POSE = ["0.1", "0", "-0.2", "0", "0", "1.5707963267948966"]
 
@@ -89,7 +89,12 @@ def test_a_urdf_names_link_and_parent(found, tmp_path, kind):
     [
         (["--transform", *POSE], "give --export"),
         (["--parent", "arm"], "give --export"),
-        (["--export", "m.csv", "--body", "a.stl", "--parent", "arm"], "got csv"),
+        (["--export", "m.csv", "--body", "a.stl", "--parent", "arm"], "a csv file cannot name a p"),
+        (
+            ["--export", "m.urdf", "--body", "a.stl", "--link", "arm", "--parent", "arm"],
+            "cannot be its own parent",
+        ),
+        (["--export", "m.urdf", "--body", "a.stl", "--link", "arm "], "name of a frame must be"),
         (["--export", "m.csv", "--body", "a.stl", "--transform", *POSE], "no --link"),
         (
             ["--export", "m.csv", "--body", "a.urdf", "--link", "b", "--transform", *POSE],
@@ -98,7 +103,7 @@ def test_a_urdf_names_link_and_parent(found, tmp_path, kind):
     ],
 )
 def test_options_that_mean_nothing_are_refused(given, words):
-    with pytest.raises(ConfigError, match=words):
+    with pytest.raises((ConfigError, SkinError), match=words):
         Export.of(options(*given))
 
 

@@ -126,27 +126,30 @@ def check_format(kind: str) -> None:
         )
 
 
-def write(path: Path, kind: str, rows: SkinRows) -> None:
-    """Write a skin atomically, as `kind`: one of FORMATS. Raises SkinError, OutputError."""
-    check_format(kind)
-    module = FORMATS[kind]
-    if rows.parent is not None and module not in (urdf, urdf_tactile):
+def check_frames(kind: str, link: str | None, parent: str | None) -> None:
+    """Raise SkinError where files of a kind cannot hold the names of these links; None: none."""
+    if parent is not None and FORMATS[kind] not in (urdf, urdf_tactile):
         raise SkinError(
             f"a {kind} file cannot name a parent link",
-            value=rows.parent,
+            value=parent,
             remedy="write urdf or urdf_tactile, or omit parent",
         )
-    if rows.parent == rows.link:
-        raise SkinError(
-            "a link cannot be its own parent", value=rows.link, remedy="name another one"
-        )
-    for frame in filter(None, (rows.link, rows.parent)):
+    if parent is not None and parent == link:
+        raise SkinError("a link cannot be its own parent", value=link, remedy="name another one")
+    for frame in filter(None, (link, parent)):
         if not frame.isprintable() or frame != frame.strip():
             raise SkinError(
                 "the name of a frame must be printable, without spaces around it",
                 value=repr(frame),
-                remedy="give another link=",
+                remedy="give another link",
             )
+
+
+def write(path: Path, kind: str, rows: SkinRows) -> None:
+    """Write a skin atomically, as `kind`: one of FORMATS. Raises SkinError, OutputError."""
+    check_format(kind)
+    check_frames(kind, rows.link, rows.parent)
+    module = FORMATS[kind]
     if not len(rows.ids):
         raise SkinError("a skin without taxels cannot be written", remedy="add taxels")
     lost = ~np.isfinite(rows.poses[:, :3, 3]).all(axis=1)
