@@ -266,3 +266,31 @@ def test_false_alarms_are_rarer_than_stated(setting):
         recording = ms.press(scene.with_(skin=skin), points, seed=seed)
         alarms += bool(ms.recalibrate(scene.skin, recording, belief, false_alarm=0.1).findings)
     assert alarms <= 32
+
+
+def single_taxels(sphere, seed, count=12):
+    """A scene of single taxels, and three touches about each: readings with 1 % noise."""
+    skin = ms.Skin.cover(sphere.body, spacing=6e-3, count=count, seed=1)
+    noisy = ms.effects.find("gaussian_noise")(sigma_relative=0.01)
+    rng = np.random.default_rng(seed)
+    around = rng.normal(scale=3e-3, size=(3 * count, 3))
+    return sphere.with_(skin=skin, effects=(noisy,)), np.tile(skin.positions, (3, 1)) + around
+
+
+def displaced(skin, offset):
+    """The skin with its taxels displaced by `offset` (n, 2), m, along their tangents."""
+    poses = skin.poses.copy()
+    poses[:, :3, 3] += np.einsum("nij,nj->ni", poses[:, :3, :2], offset)
+    return replace(skin, poses=poses)
+
+
+def test_a_place_three_sigmas_off_is_no_change(sphere):
+    """Its readings are not straight over three standard deviations of its place."""
+    scene, points = single_taxels(sphere, 0)
+    offset = np.random.default_rng(1).normal(scale=0.1e-3, size=(12, 2))
+    offset[4] = 0.9e-3, 0.0
+    map_ = displaced(scene.skin, offset).onto(scene.body)
+    recording, belief = ms.press(scene, points, seed=1), scene.belief(noise_sigma=None)
+    found = ms.recalibrate(map_, recording, belief)
+    assert found.findings == ()
+    assert found.unit_evidence[4] < 0
