@@ -173,7 +173,7 @@ def _trial(touches: Touches, unit: int, state: Hypothesis, errors: Errors, limit
     ratio = np.array([b.log_likelihood(errors, threshold) for b in blocks]) - null
     expected = np.zeros(len(state.points))
     np.maximum.at(expected, block.taxel, block.mean)
-    prior = log_prior(steps, len(known.units), expected)
+    prior = log_prior(steps, len(known.units), expected, known.slots is None)
     return _Trial(null, block, null_blocks, log_null, blocks, ratio, prior)
 
 
@@ -211,9 +211,7 @@ def log_chance(
     found = np.zeros(DRAWS)
     chosen = rng.choice(len(weight), DRAWS, p=weight / total)
     for k, change in enumerate(chosen):
-        level = rng.multivariate_normal(
-            mean[first + change], c[first + change], method="cholesky"
-        )
+        level = rng.multivariate_normal(mean[first + change], c[first + change], method="cholesky")
         level = np.where(level > threshold, level, np.nan)
         likelihood = log_likelihoods(level, mean, c, errors, threshold)
         null = logsumexp(likelihood[:first] + log_null)

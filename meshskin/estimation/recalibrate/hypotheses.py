@@ -221,15 +221,18 @@ def regained(base: Hypothesis, single: bool) -> list[Hypothesis]:
     return found
 
 
-def log_prior(hypotheses: list[Hypothesis], units: int, expected: Array) -> Array:
+def log_prior(hypotheses: list[Hypothesis], units: int, expected: Array, single: bool) -> Array:
     """ln of the prior probabilities (h,) of the hypotheses, which no reading enters.
 
+    single: whether the unit is a single taxel, which neither turns nor has taxels of its own.
     Within a kind of change (KINDS), moves are normal with the standard deviation MOVE; changes of
     one taxel are as probable as its largest `expected` reading (k,) is large, as nothing is seen of
-    those that no touch reaches; those of an exchange are shared with the units that were not tried.
+    those that no touch reaches; those of an exchange are shared with the units that were not tried,
+    and those of all kinds with the kinds that were not tried.
     """
     kinds = [(h.state, h.taxel >= 0) for h in hypotheses]
-    every = sum(KINDS[kind] for kind in set(kinds))
+    possible = [kind for kind in KINDS if not (single and (kind[1] or kind[0] == TURNED))]
+    every = sum(KINDS[kind] for kind in possible)
     share = np.array([
         np.exp(-0.5 * np.sum(np.square(h.shift)) / MOVE**2) if h.state == MOVED
         else expected[h.taxel] + MIN_EXPECTED if h.taxel >= 0 else 1.0
