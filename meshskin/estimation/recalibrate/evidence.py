@@ -35,6 +35,7 @@ from .hypotheses import (
     TURNED,
     Hypothesis,
     discrete,
+    dispersed,
     grid,
     log_prior,
     moved,
@@ -132,6 +133,10 @@ class _Trial:
     """ln likelihood of the state."""
     block: Block
     """The readings under it."""
+    null_blocks: list[Block]
+    """The readings under its components, one where they are straight over its uncertainty."""
+    log_null: Array
+    """ln of the weights of the components."""
     blocks: list[Block]
     """The readings under each of the alternatives (h,)."""
     ratio: Array
@@ -152,9 +157,15 @@ def _trial(touches: Touches, unit: int, state: Hypothesis, errors: Errors, limit
     (block,) = touches.blocks(unit, [state], errors)
     as_expected = np.where(block.read, block.mean, np.nan)
     null = block.log_likelihood(errors, threshold)
-    misfit = replace(block, level=as_expected).log_likelihood(errors, threshold) - null
+    usual = replace(block, level=as_expected).log_likelihood(errors, threshold)
+    null_blocks, log_null = [block], np.zeros(1)
+    if usual - null >= MISFIT * limit and len(state.points) == 1:
+        parts, log_null = dispersed(state, touches.data.body)
+        null_blocks = touches.blocks(unit, parts, errors)
+        each = [b.log_likelihood(errors, threshold) for b in null_blocks]
+        null = float(logsumexp(log_null + each))
     steps = discrete(touches, unit, state)
-    if misfit >= MISFIT * limit:
+    if usual - null >= MISFIT * limit:
         if state.state == CONFIRMED:
             steps += moved(state, touches.data.body, grid())
         steps += regained(state, known.slots is None)
@@ -162,7 +173,8 @@ def _trial(touches: Touches, unit: int, state: Hypothesis, errors: Errors, limit
     ratio = np.array([b.log_likelihood(errors, threshold) for b in blocks]) - null
     expected = np.zeros(len(state.points))
     np.maximum.at(expected, block.taxel, block.mean)
-    return _Trial(null, block, blocks, ratio, log_prior(steps, len(known.units), expected))
+    prior = log_prior(steps, len(known.units), expected, known.slots is None)
+    return _Trial(null, block, null_blocks, log_null, blocks, ratio, prior)
 
 
 def _log_chance(
@@ -172,34 +184,38 @@ def _log_chance(
     Markov's, or, where that does not suffice but might nearly, the drawn one."""
     if not limit - SLACK < evidence <= limit:
         return -evidence
-    steps = [block.hypothesis for block in (tried.block, *tried.blocks)]
+    steps = [block.hypothesis for block in (*tried.null_blocks, *tried.blocks)]
     blocks = touches.blocks(unit, steps, errors, same_pairs=True)
     if len(steps) * len(blocks[0].mean) ** 2 > MAX_DRAWN:
         return -evidence
     mean = np.stack([b.mean for b in blocks])
     c = np.stack([b.covariance(errors) for b in blocks])
-    return log_chance(mean, c, tried.log_prior, evidence, errors, touches.threshold)
+    weights = tried.log_null, tried.log_prior
+    return log_chance(mean, c, *weights, evidence, errors, touches.threshold)
 
 
 def log_chance(
-    mean: Array, c: Array, log_prior: Array, evidence: float, errors: Errors, threshold: float
-) -> float:
+    mean: Array, c: Array, log_null: Array, log_prior: Array, evidence: float, errors: Errors,
+    threshold: float,
+) -> float:  # fmt: skip
     """ln of the probability of an ln evidence of `evidence` or more, if there is no change.
 
-    mean (1 + h, q) and c (1 + h, q, q): means and covariances of the readings of the same pairs,
-    without a change first, and with h changes; log_prior (h,): ln of their prior probabilities,
-    whose sum may be less than one: changes that are left out have Markov's bound. threshold:
-    readings below it are silent.
+    mean (p + h, q) and c (p + h, q, q): means and covariances of the readings of the same pairs, of
+    the p components without a change first, and with h changes; log_null (p,): ln of the weights of
+    the components; log_prior (h,): ln of the prior probabilities of the changes, whose sum may be
+    less than one: changes that are left out have Markov's bound. threshold: readings below it are
+    silent.
     """
-    rng, weight = np.random.default_rng(0), np.exp(log_prior)
+    rng, weight, first = np.random.default_rng(0), np.exp(log_prior), len(log_null)
     total = float(weight.sum())
     found = np.zeros(DRAWS)
     chosen = rng.choice(len(weight), DRAWS, p=weight / total)
     for k, change in enumerate(chosen):
-        level = rng.multivariate_normal(mean[1 + change], c[1 + change], method="cholesky")
+        level = rng.multivariate_normal(mean[first + change], c[first + change], method="cholesky")
         level = np.where(level > threshold, level, np.nan)
         likelihood = log_likelihoods(level, mean, c, errors, threshold)
-        drawn = float(logsumexp(likelihood[1:] - likelihood[0] + log_prior))
+        null = logsumexp(likelihood[:first] + log_null)
+        drawn = float(logsumexp(likelihood[first:] + log_prior) - null)
         found[k] = np.exp(evidence - drawn) if drawn >= evidence else 0.0
     share = total * float(found.mean()) + max(1 - total, 0.0)
     return float(np.log(share)) - evidence if share > 0 else -np.inf

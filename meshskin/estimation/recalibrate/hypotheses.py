@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import logsumexp
 
 from ...core import se3
 from ...core.arrays import Array
@@ -41,6 +42,13 @@ KINDS = {
 }  # fmt: skip
 """Prior odds of the kinds of change, of a unit as a whole or of one of its taxels. Chosen: the
 readings of one touch often show the first three just so; the others they show by far."""
+NARROW, PARTS = 0.15e-3, 4
+"""Standard deviation, m, of the components into which the uncertainty of a single taxel's place is
+split, or that of the place divided by PARTS where this is more: a reading bends by less than 1 % of
+the peak over it."""
+COMPONENT_PITCH, REACHED = 1.6, 5.0
+"""Distance of these components, in their standard deviations, at which their sum is smooth to
+0.1 %, and the farthest, in those of the place: 1 in 300,000 is beyond."""
 MIN_EXPECTED = 1e-3
 """Added to the expected readings, relative to the peak, by which changes of single taxels are
 weighted: less than any threshold."""
@@ -175,6 +183,30 @@ def moved(base: Hypothesis, body: Body, flat: Array) -> list[Hypothesis]:
     ]  # fmt: skip
 
 
+def dispersed(base: Hypothesis, body: Body) -> tuple[list[Hypothesis], Array]:
+    """A single taxel where its covariance allows it to be: narrow components, over each of which a
+    reading is straight, and ln of their weights. Their mixture has that covariance."""
+    up = base.normals[0]
+    tangents = se3.orthonormal_basis(up, -se3.perpendicular(up))[:, :2]
+    variance, axes = np.linalg.eigh(tangents.T @ base.covariance[0] @ tangents)
+    sigma = np.sqrt(np.maximum(variance, 0.0))
+    narrow = np.minimum(sigma, np.maximum(NARROW, sigma / PARTS))
+    spread, pitch = np.sqrt(sigma**2 - narrow**2), COMPONENT_PITCH * narrow
+    steps = []
+    for most, step in zip(REACHED * spread, pitch, strict=True):
+        count = int(most / step) if most > 0 else 0
+        steps.append(step * np.arange(-count, count + 1))
+    flat = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
+    square = np.sum((flat / np.where(spread > 0, spread, 1.0)) ** 2, axis=1)
+    flat, square = flat[square <= REACHED**2], square[square <= REACHED**2]
+    root = tangents @ axes * narrow
+    parts = [
+        replace(base, points=h.points, normals=h.normals, covariance=(root @ root.T)[None])
+        for h in moved(base, body, flat @ axes.T)
+    ]
+    return parts, -0.5 * square - logsumexp(-0.5 * square)
+
+
 def regained(base: Hypothesis, single: bool) -> list[Hypothesis]:
     """Changes of the gain of a whole unit, and of each of its taxels unless it is `single`."""
     steps = np.arange(-MAX_GAIN, MAX_GAIN + 1e-9, GAIN_PITCH)
@@ -189,15 +221,18 @@ def regained(base: Hypothesis, single: bool) -> list[Hypothesis]:
     return found
 
 
-def log_prior(hypotheses: list[Hypothesis], units: int, expected: Array) -> Array:
+def log_prior(hypotheses: list[Hypothesis], units: int, expected: Array, single: bool) -> Array:
     """ln of the prior probabilities (h,) of the hypotheses, which no reading enters.
 
+    single: whether the unit is a single taxel, which neither turns nor has taxels of its own.
     Within a kind of change (KINDS), moves are normal with the standard deviation MOVE; changes of
     one taxel are as probable as its largest `expected` reading (k,) is large, as nothing is seen of
-    those that no touch reaches; those of an exchange are shared with the units that were not tried.
+    those that no touch reaches; those of an exchange are shared with the units that were not tried,
+    and those of all kinds with the kinds that were not tried.
     """
     kinds = [(h.state, h.taxel >= 0) for h in hypotheses]
-    every = sum(KINDS[kind] for kind in set(kinds))
+    possible = [kind for kind in KINDS if not (single and (kind[1] or kind[0] == TURNED))]
+    every = sum(KINDS[kind] for kind in possible)
     share = np.array([
         np.exp(-0.5 * np.sum(np.square(h.shift)) / MOVE**2) if h.state == MOVED
         else expected[h.taxel] + MIN_EXPECTED if h.taxel >= 0 else 1.0

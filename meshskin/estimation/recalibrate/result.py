@@ -181,33 +181,51 @@ def _listed(unit: str, numbers: np.ndarray, shown: int | None) -> str:
     return f"{len(numbers)} {unit}{plural} ({names}{more})"
 
 
-def _changed(
-    known: SkinMap, found: list[Evidence]
-) -> tuple[Array, Array, Array, np.ndarray, np.ndarray]:
-    """Poses (n, 4, 4), covariances (n, 3, 3), m^2, of the positions, ln gains (n,) and faults (n,)
-    of the taxels with what became of their units, and which (n,) were touched."""
-    poses, covariance, gain = known.poses.copy(), known.covariance.copy(), known.log_gain.copy()
-    faults, touched = np.full(len(gain), "", dtype=object), np.zeros(len(gain), dtype=bool)
+@dataclass(frozen=True)
+class _Changed:
+    """The map's n taxels with what became of their units."""
+
+    poses: Array
+    """(n, 4, 4)."""
+    source: np.ndarray
+    """Taxels (n,) of the map at whose places they are: others' if exchanged or turned."""
+    shift_covariance: Array
+    """What moves add to the covariances (n, 3, 3) of the positions, body frame, m^2."""
+    gain: Array
+    """ln gains (n, 2) and standard deviations of those that changed; NaN: as they were."""
+    faults: np.ndarray
+    """(n,)."""
+    touched: np.ndarray
+    """(n,) bool."""
+
+
+def _changed(known: SkinMap, found: list[Evidence]) -> _Changed:
+    n = len(known.ids)
+    gain = np.stack([known.log_gain, np.full(n, np.nan)], axis=1)
+    out = _Changed(
+        known.poses.copy(), np.arange(n), np.zeros((n, 3, 3)), gain,
+        np.full(n, "", dtype=object), np.zeros(n, dtype=bool),
+    )  # fmt: skip
     for rows, evidence in zip(known.units, found, strict=True):
-        touched[rows] = evidence.touched
+        out.touched[rows] = evidence.touched
         for change in evidence.changes:
             h = change.hypothesis
             mine = rows if h.taxel < 0 else rows[h.taxel : h.taxel + 1]
-            if h.state in (TURNED, EXCHANGED, MOVED):
-                rotation = align_normals(known.poses[rows, :3, :3], h.normals)
-                poses[rows] = se3.transform(rotation, evidence.state.points)
             if h.state in (TURNED, EXCHANGED):  # the places are those of other taxels of the map
                 placed = np.flatnonzero(known.known)
-                nearest = cKDTree(known.points[placed]).query(h.points)[1]
-                covariance[rows] = known.covariance[placed[nearest]]
+                out.source[rows] = placed[cKDTree(known.points[placed]).query(h.points)[1]]
+            if h.state in (TURNED, EXCHANGED, MOVED):
+                rotation = align_normals(known.poses[out.source[rows], :3, :3], h.normals)
+                out.poses[rows] = se3.transform(rotation, evidence.state.points)
             if h.state == MOVED:
-                covariance[rows] += change.shift_covariance
+                out.shift_covariance[rows] += change.shift_covariance
             if h.state == GAIN:
-                gain[mine] += change.log_gain
+                out.gain[mine, 0] += change.log_gain
+                out.gain[mine, 1] = change.log_gain_sigma
             if h.state in (DEAD, GAIN):
                 words = h.state if h.state == DEAD else f"gain times {np.exp(change.log_gain):.2f}"
-                faults[mine] = [join_words(f, words) for f in faults[mine]]
-    return poses, covariance, gain, faults, touched
+                out.faults[mine] = [join_words(f, words) for f in out.faults[mine]]
+    return out
 
 
 def updated(
@@ -219,25 +237,25 @@ def updated(
     contacts: int,
 ) -> Calibration:
     """The calibration with the taxels of changed units at their new places, and faults named."""
-    poses, covariance, gain, faults, touched = _changed(known, found)
-    n = len(known.ids)
+    now = _changed(known, found)
+    n, poses, faults = len(known.ids), now.poses, now.faults
     lost = ~known.known & ~np.isfinite(poses[:, 0, 3])
-    local = np.swapaxes(poses[:, :3, :3], 1, 2) @ covariance @ poses[:, :3, :3]
     base = previous if isinstance(previous, Calibration) else None
-    six = _covariances(base, known, local, lost)
+    six = _covariances(base, known, now, lost)
     taxel_unknowns = {} if base is None else dict(base.taxel_unknowns)
-    if np.any(gain != known.log_gain) or "gain" in taxel_unknowns:
-        spread = np.zeros(len(gain)) if base is None or "gain" not in taxel_unknowns else (
+    if np.any(now.gain[:, 0] != known.log_gain) or "gain" in taxel_unknowns:
+        gain = now.gain / (np.ones(n) if base is None else amplification(base))[:, None]
+        before = np.zeros(n) if base is None or "gain" not in taxel_unknowns else (
             np.asarray(taxel_unknowns["gain"])[np.argsort(base.ids, kind="stable"), 1]
         )  # fmt: skip
-        gain = gain if base is None else gain / amplification(base)
-        taxel_unknowns["gain"] = np.stack([gain, spread], axis=1)
+        gain[:, 1] = np.where(np.isnan(gain[:, 1]), before, gain[:, 1])
+        taxel_unknowns["gain"] = gain
     made = FACTOR.format(contacts, len(findings))
     if base is None:
         return Calibration(
             ids=known.ids, poses=poses, covariances=six,
             observed=np.isfinite(np.diagonal(six, axis1=1, axis2=2)),
-            touched=touched,
+            touched=now.touched,
             readings=np.zeros(n, dtype=int), method="recalibrate", anchor="the earlier map",
             factors=(made,), chi2=np.full(n, np.nan),
             reasons=np.where(lost, UNKNOWN, "").astype(object), faults=faults,
@@ -247,13 +265,14 @@ def updated(
     old = np.full(n, "", dtype=object) if base.faults is None else base.faults[order]
     named = [join_words(*pair) for pair in zip(old, faults, strict=True)]
     filled = known.known & ~np.isfinite(base.positions[order, 0])
+    observed = (base.observed[order] | filled[:, None])[now.source]
     additions = None if base.additions is None else base.additions.copy()
     if additions is not None:
         additions[:, 1] = np.argsort(order)[additions[:, 1].astype(int)]
     return replace(
         base,
         ids=known.ids, poses=poses, covariances=six,
-        observed=base.observed[order] | filled[:, None], touched=base.touched[order],
+        observed=observed, touched=base.touched[order],
         readings=base.readings[order], chi2=base.chi2[order],
         reasons=np.where(filled, "", base.reasons[order]).astype(object),
         faults=np.array(named, dtype=object),
@@ -265,14 +284,20 @@ def updated(
     )  # fmt: skip
 
 
-def _covariances(base: Calibration | None, known: SkinMap, local: Array, lost: np.ndarray) -> Array:
-    """(n, 6, 6) in the taxels' frames: the position's part from `local` (n, 3, 3), m^2."""
+def _covariances(
+    base: Calibration | None, known: SkinMap, now: _Changed, lost: np.ndarray
+) -> Array:
+    """(n, 6, 6) in the taxels' frames: those of the taxels at whose places they are, and of what
+    moves add."""
     out = np.zeros((len(known.ids), 6, 6))
     if base is not None:
         out[:] = base.covariances[np.argsort(base.ids, kind="stable")]
     else:
         out[:, 3, 3] = out[:, 4, 4] = (np.pi / 180) ** 2
         out[:, 5, 5] = np.inf
-    out[:, :3, :3] = local
+    before, after = known.poses[:, :3, :3], now.poses[:, :3, :3]
+    out[:, :3, :3] = np.swapaxes(before, 1, 2) @ known.covariance @ before
+    out = out[now.source]
+    out[:, :3, :3] += np.swapaxes(after, 1, 2) @ now.shift_covariance @ after
     out[lost] = np.diag([np.inf] * 6)
     return out

@@ -149,7 +149,7 @@ def test_the_chance_of_an_evidence_is_that_of_a_normal_variable(part):
     mean, c = np.array([[0.5], [0.5 + step]]), np.full((2, 1, 1), sigma**2)
     d = step / sigma
     found = log_chance(
-        mean, c, np.log([part]), evidence + np.log(part), Errors(sigma, 1e-4, 0.0), 0.0
+        mean, c, np.zeros(1), np.log([part]), evidence + np.log(part), Errors(sigma, 1e-4, 0.0), 0.0
     )
     expected = norm.sf((evidence + d**2 / 2) / d)
     if part < 1:  # of the changes that are left out, Markov's bound

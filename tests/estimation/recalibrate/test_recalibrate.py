@@ -13,13 +13,18 @@ from meshskin.estimation.recalibrate import errors as errors_module
 from meshskin.estimation.recalibrate import evidence
 from meshskin.estimation.recalibrate.hypotheses import (
     CONFIRMED,
+    EXCHANGED,
     GAIN,
     MOVED,
     Hypothesis,
+    dead,
     grid,
+    log_prior,
     moved,
+    regained,
     unchanged,
 )
+from meshskin.estimation.recalibrate.result import updated
 from meshskin.estimation.recalibrate.skin_map import skin_map, turns
 from meshskin.estimation.recalibrate.touches import Block, Errors, Touches
 from meshskin.skin import slots
@@ -178,6 +183,59 @@ def test_what_a_component_leaves_open_is_estimated(state):
     np.testing.assert_allclose(found[:size] - start, change, rtol=1e-6)
 
 
+def test_prior_odds_do_not_depend_on_what_is_tried(sphere):
+    """Moves and gains are tried only where a unit misfits."""
+    known = skin_map(sphere.skin, sphere.belief())
+    base, expected, units = unchanged(known, 3), np.ones(1), len(known.units)
+    few = [dead(base), replace(base, state=EXCHANGED, value=5.0)]
+    every = few + moved(base, sphere.body, grid()) + regained(base, True)
+    some = log_prior(few, units, expected, True)
+    np.testing.assert_allclose(some, log_prior(every, units, expected, True)[:2])
+    total = np.exp(log_prior([few[0], *every[2:], *[few[1]] * (units - 1)], units, expected, True))
+    assert total.sum() == pytest.approx(1.0)
+
+
+def judged(known, unit, state, **change):
+    """What is found if a unit is in `state`, and the others as they were."""
+    one = np.ones(1, dtype=bool)
+    changes = (evidence.Change(state, 9.0, **change),)
+    return [
+        evidence.Evidence(0.0, state, changes, 9.0, one, one, False) if u == unit
+        else evidence.Evidence(0.0, unchanged(known, u), (), 0.0, one, one, True)
+        for u in range(len(known.units))
+    ]  # fmt: skip
+
+
+def test_an_exchanged_taxel_has_the_uncertainty_of_the_place(sphere):
+    """Of a well known place of the map, at the taxel that was badly known itself."""
+    scene, points = single_taxels(sphere, 0, 7)
+    belief = scene.belief()
+    map_ = ms.calibrate(ms.press(scene, points, seed=1), belief)
+    weak, sound = np.flatnonzero(map_.observed[:, 0])[:2]
+    covariances = map_.covariances.copy()
+    covariances[weak] *= 25.0
+    map_ = replace(map_, covariances=covariances)
+    known = skin_map(map_, belief)
+    unit = [int(rows[0]) for rows in known.units].index(weak)
+    state = replace(
+        unchanged(known, unit), state=EXCHANGED, value=float(map_.ids[sound]),
+        points=known.points[[sound]], normals=known.poses[[sound], :3, 2],
+    )  # fmt: skip
+    now = updated(map_, belief, known, judged(known, unit, state), (), 9)
+    np.testing.assert_allclose(now.covariances[weak], map_.covariances[sound], atol=1e-15)
+    np.testing.assert_array_equal(now.observed[weak], map_.observed[sound])
+
+
+def test_a_changed_gain_has_its_standard_deviation(sphere):
+    belief = sphere.belief()
+    known = skin_map(sphere.skin, belief)
+    state = replace(unchanged(known, 3), state=GAIN)
+    found = judged(known, 3, state, log_gain=0.5, log_gain_sigma=0.02)
+    gain = updated(sphere.skin, belief, known, found, (), 9).taxel_unknowns["gain"]
+    np.testing.assert_allclose(gain[3], [0.5, 0.02])
+    assert not gain[:3].any()
+
+
 def test_common_changes_that_nothing_shows_are_zero(setting):
     scene, points = setting
     known = skin_map(scene.skin, scene.belief())
@@ -266,3 +324,31 @@ def test_false_alarms_are_rarer_than_stated(setting):
         recording = ms.press(scene.with_(skin=skin), points, seed=seed)
         alarms += bool(ms.recalibrate(scene.skin, recording, belief, false_alarm=0.1).findings)
     assert alarms <= 32
+
+
+def single_taxels(sphere, seed, count=12):
+    """A scene of single taxels, and three touches about each: readings with 1 % noise."""
+    skin = ms.Skin.cover(sphere.body, spacing=6e-3, count=count, seed=1)
+    noisy = ms.effects.find("gaussian_noise")(sigma_relative=0.01)
+    rng = np.random.default_rng(seed)
+    around = rng.normal(scale=3e-3, size=(3 * count, 3))
+    return sphere.with_(skin=skin, effects=(noisy,)), np.tile(skin.positions, (3, 1)) + around
+
+
+def displaced(skin, offset):
+    """The skin with its taxels displaced by `offset` (n, 2), m, along their tangents."""
+    poses = skin.poses.copy()
+    poses[:, :3, 3] += np.einsum("nij,nj->ni", poses[:, :3, :2], offset)
+    return replace(skin, poses=poses)
+
+
+def test_a_place_three_sigmas_off_is_no_change(sphere):
+    """Its readings are not straight over three standard deviations of its place."""
+    scene, points = single_taxels(sphere, 0)
+    offset = np.random.default_rng(1).normal(scale=0.1e-3, size=(12, 2))
+    offset[4] = 0.9e-3, 0.0
+    map_ = displaced(scene.skin, offset).onto(scene.body)
+    recording, belief = ms.press(scene, points, seed=1), scene.belief(noise_sigma=None)
+    found = ms.recalibrate(map_, recording, belief)
+    assert found.findings == ()
+    assert found.unit_evidence[4] < 0
