@@ -80,8 +80,8 @@ class Estimation:
         verdict = judge(self.recording, self._near, found, result.departures, self.data)
         stage.end()
         judged = time.perf_counter() - begin
-        seconds = found.seconds | {n: found.seconds[n] + judged for n in ("other", "total")}
-        return replace(found, verdict=verdict, seconds=seconds)
+        more = {name: found.seconds[name] + judged for name in ("other", "total")}
+        return replace(found, verdict=verdict, seconds={**found.seconds, **more})
 
     @single_threaded()
     def without_verdict(self, method: str, progress: Progress | None) -> Calibration:
@@ -186,9 +186,9 @@ class Estimation:
             if (other := self._learned(stage)) is None:
                 raise
             return other
-        if self._contradicted(found) and not fails_by_itself(self.recording, self.data):
-            if (other := self._learned(stage)) is not None:
-                return found.found.with_jump(other)
+        contradicted = self._contradicted(found) and not fails_by_itself(self.recording, self.data)
+        if contradicted and (other := self._learned(stage)) is not None:
+            return found.found.with_jump(other)
         return found.result()
 
     @property

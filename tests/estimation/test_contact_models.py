@@ -210,7 +210,7 @@ def test_contacts_outside_the_model_are_refused(worlds):
 
 
 def test_a_few_contacts_out_of_the_models_range_are_left_out(sphere):
-    """One contact in forty whose force is far too large is left out with its readings; many are refused."""
+    """One contact in forty with far too large a force is left out; many are refused."""
     from meshskin import calibrate, press
 
     rng = np.random.default_rng(8)

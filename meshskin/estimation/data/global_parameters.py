@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 DRIFT_SIZE = 4
 """Entries of a drift that all taxels share: Legendre polynomials of the time from the first degree
 on. Warming with three time constants during the recording leaves 0.3 % of its rise."""
+DRIFTS = ("gain_drift", "offset_drift", "force_drift")
+"""Drifts of the logarithm of the gain and of the offset of all taxels, and of the logarithm of the
+true over the measured forces, estimated where the readings show them."""
 SIZES = {
     "modulus": 1,
     "force_scale": 1,
@@ -43,9 +46,7 @@ SIZES = {
     "hysteresis": 2,
     "crosstalk": 1,
     "creep": 3,
-    "gain_drift": DRIFT_SIZE,
-    "offset_drift": DRIFT_SIZE,
-    "force_drift": DRIFT_SIZE,
+    **dict.fromkeys(DRIFTS, DRIFT_SIZE),
 }
 """Number of entries of each global parameter, but for the contact motion."""
 MOTION = "contact_motion"
@@ -70,12 +71,7 @@ PRIORS = {
     "hysteresis": 1.0,
     "crosstalk": 0.3,
     "creep": 1.0,
-    "gain_drift": 0.3,
-    "offset_drift": 0.3,
-    "force_drift": 0.3,
-    "gain": 0.3,
-    "offset": 0.3,
-    "drift": 0.3,
+    **dict.fromkeys((*DRIFTS, *NUISANCE), 0.3),
 }
 """Default standard deviations of the priors: of the logarithms of modulus, force scale and gain; of
 the force offset in reference forces, of the pressure offset and its drift over the recording in
@@ -91,9 +87,6 @@ model's to the power 1 + "aspect". That of a half-space is about the power 2/3 o
 principal curvatures' ratio, that of a thin layer 1/2: an aspect of -1/4."""
 ELECTRONICS = ("hysteresis", "crosstalk", "creep")
 """Further ones, estimated where the readings show them (joint/electronics.py)."""
-DRIFTS = ("gain_drift", "offset_drift", "force_drift")
-"""Drifts of the logarithm of the gain and of the offset of all taxels, and of the logarithm of the
-true over the measured forces, estimated likewise."""
 ERROR_EXPONENT = "exponents of the radius in force errors"
 """Label of the exponent of sizes in a contact's error of ln F, beyond the model's. Without such
 errors there is nothing to determine."""

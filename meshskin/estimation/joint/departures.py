@@ -46,8 +46,7 @@ TIMES = (0.03, 0.1, 0.4, 1.5, 6.0)
 ONE_SIDED = ("friction", "hysteresis")
 """Departures whose parameter is positive."""
 PAIRED = 1e-12
-"""Least variance of the sum over pairs of readings of a contact, as a share of that of all: its
-rounding, where hardly a contact has two readings, is below it."""
+"""Least variance of the sum over pairs, as a share of that of all readings: rounding is below."""
 SEEN = 1e-6
 """Least information on a parameter, relative to that with known taxels: rounding is below it."""
 FILTER_SHARE = 0.9
