@@ -25,7 +25,7 @@ from ..robot.contact_rig import ContactRig
 from ..robot.turntable import with_swivel
 from ..scene.scene import Scene
 from .lane_plan import STEP, posture_reasons, reachable_nodes, region_radius
-from .lanes import cover, evenly, spacing_for
+from .lanes import check_spacing, cover, evenly
 from .left_out import (
     NOT_COVERED,
     SPARSE,
@@ -54,17 +54,18 @@ def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
     exploration, sites = scene.exploration, scene.skin.positions
     spacing = exploration.lane_spacing
     if exploration.contacts is not None:  # as far apart along the lanes
-        spacing = float(np.sqrt(spacing_for(rig.sensing_radius, exploration.contacts, 1.0)))
+        spacing = rig.sensing_radius * float(np.sqrt(np.pi / exploration.contacts))
+    check_spacing(spacing, rig.sensing_radius)
     hit = _on_lanes(rig, sites, spacing, exploration.margin)
     reason = rig.contact_reasons(hit.point, hit.normal)
     segments, blocked = [], [(hit.point, reason)]
     segments += _pressed(scene, rig, hit, reason, reason == "", scene.law.force_reference)
     left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
     for force, lighter in lighter_rigs(scene):
-        sites = served_lighter(scene.skin, left_out)
-        if not len(sites):
+        served = served_lighter(scene.skin, left_out)
+        if not len(served):
             break
-        new = pressed_lighter(lighter, hit.point, hit.normal, reason, sites)
+        new = pressed_lighter(lighter, hit.point, hit.normal, reason, served)
         segments += _pressed(scene, lighter, hit, reason, new, force)
         left_out = still_left_out(scene.skin, lighter.sensing_radius, segments, blocked, left_out)
     other = other_contact(scene, left_out)
@@ -112,16 +113,23 @@ def _pressed(
     if not len(rows):
         return []
     rows = rows[nearest_neighbour_order(hit.point[rows])]
-    path, reason[rows] = _path(scene, rig, hit.take(rows))
+    path, reason[rows] = _path(scene, rig, hit.take(rows), force)
     count = len(path.points)
     return [replace(path, forces=np.full(count, force))] if count else []
 
 
-def _path(scene: Scene, rig: ContactRig, hit: Closest) -> tuple[Path, Array]:
-    """The path with one row, a segment of its own, for each contact that can be made; and the
-    reason (k,) why a contact cannot, "" where it can.
+def _path(scene: Scene, rig: ContactRig, hit: Closest, force: float) -> tuple[Path, Array]:
+    """The path with one row, a segment of its own, for each contact that can be made with a force,
+    N; and the reason (k,) why a contact cannot, "" where it can.
     """
-    poses = rig.contact_poses(hit.point, hit.normal, any_tangents(hit.normal))
+    patches = scene.model.patches(
+        force=np.full(len(hit.point), force),
+        curvature=hit.curvature,
+        indenter_radius=scene.indenter.radius,
+        effective_modulus=scene.material.effective_modulus,
+    )
+    centres = hit.point + (scene.indenter.radius - patches.depth)[:, None] * hit.normal
+    poses = rig.poses(centres, hit.normal, any_tangents(hit.normal))
     joints, reason = None, np.full(len(poses), "", dtype=object)
     if scene.indenter.carried_by == "arm" and len(poses):
         joints, poses, reason = _carried(scene, poses)

@@ -19,7 +19,7 @@ from ..robot import collision, posture
 from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
-from .lanes import cover, spacing_for
+from .lanes import check_spacing, cover, spacing_for
 from .left_out import (
     NOT_COVERED,
     SPARSE,
@@ -61,6 +61,7 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
     if exploration.contacts is not None:
         pitch = exploration.speed * (scene.frame_steps * scene.loop.dt)
         spacing = spacing_for(rig.sensing_radius, exploration.contacts, pitch)
+    check_spacing(spacing, rig.sensing_radius)
     step = min(STEP, 0.8 * spacing)
     radius = region_radius(sites, exploration.margin, rig.sensing_radius)
     lanes = cover(rig.body, sites, spacing, radius, step)
@@ -131,7 +132,7 @@ def region_radius(sites: Array, margin: float, sensing_radius: float) -> float:
     of lanes long enough next to places where the indenter does not fit.
     """
     if len(sites) < 2:
-        return margin
+        return max(margin, 1.5 * sensing_radius)
     return max(margin, min(0.75 * median_spacing(sites), 1.5 * sensing_radius))
 
 

@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.arguments import check_real
 from ..core.arrays import Array
 from ..core.config import quantity
 from ..core.errors import SkinError
@@ -61,10 +62,13 @@ class Cap:
     angle: float = quantity("rad", np.pi, above=0.0, most=np.pi)
     """largest angle, in rad"""
 
+    def __post_init__(self) -> None:
+        check_real("angle of a cap", self.angle, "rad", above=0.0, most=np.pi, error=SkinError)
+
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points within the angle."""
         outward = at.point - bounding_box_centre(body)
-        away = np.linalg.norm(outward, axis=1) * np.cos(min(self.angle, np.pi))
+        away = np.linalg.norm(outward, axis=1) * np.cos(self.angle)
         return np.asarray(outward @ _unit(self.direction) >= away - 1e-15)
 
     def centre(self, body: Body) -> Closest:
@@ -80,6 +84,9 @@ class Disc:
     """body frame, m; replaced by its closest surface point"""
     radius: float = quantity("m", above=0.0)
     """geodesic radius, m"""
+
+    def __post_init__(self) -> None:
+        check_real("radius of a disc", self.radius, "m", above=0.0, error=SkinError)
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points within the radius."""

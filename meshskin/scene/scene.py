@@ -143,7 +143,9 @@ class Scene(Value, NamedFields, Card):
                 limit=f"at least {1e3 * MIN_BUDGET:g} mm",
                 remedy="for all effects, list them in the scene and give no budget",
             )
+        check_name("contact model of a scene", self.contact, (*BATCHED, AUTO))
         check_type(Iterable, self.effects, "scene.effects")
+        object.__setattr__(self, "effects", tuple(self.effects))
         for effect in (*self.effects, *(self.candidates or ())):
             check_effect(effect)
 
@@ -213,16 +215,11 @@ class Scene(Value, NamedFields, Card):
 
     @cached_property
     def model(self) -> ContactModel:
-        """The contact model; of "auto", the first that holds at every taxel where any does.
-
-        Raises UnknownNameError.
-        """
-        check_name("contact model of a scene", self.contact, (*BATCHED, AUTO))
+        """The contact model; of "auto", the first that holds at every taxel where any does."""
         name = self.contact
         if name == AUTO:
-            name = self.indentation.first_valid_model(
-                self.body.closest(self.skin.positions).curvature
-            )
+            curvature = self.body.closest(self.skin.positions).curvature
+            name = self.indentation.first_valid_model(curvature)
         return self.indentation.model(name)
 
     def invalid_reasons(self, curvature: Array) -> Array:

@@ -123,6 +123,12 @@ class SkinTable:
         table, where = self.region, "skin.region"
         if table is None:
             if self.direction is None:
+                if self.angle is not None:
+                    raise ConfigError(
+                        "skin.angle needs the direction from which it counts",
+                        value="no skin.direction",
+                        remedy="write direction = [0, 0, 1], or leave the angle out",
+                    )
                 return None
             where = "skin"
             table = given({"direction": list(self.direction), "angle_rad": self.angle})

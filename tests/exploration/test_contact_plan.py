@@ -57,6 +57,29 @@ def test_the_list_says_where_the_indenter_is_pressed_on_a_sphere(scene, plan):
     assert table.column("force").to_pylist() == [scene.law.force_reference] * len(point)
 
 
+def test_every_pose_of_the_list_has_its_force_whatever_the_curvature():
+    body = ms.Body.ellipsoid((0.09, 0.045, 0.045))
+    scene = ms.Scene(
+        body=body,
+        skin=ms.Skin.cover(body, spacing=8e-3),
+        indenter=ms.Indenter(carried_by="hand"),
+        loop=ms.Loop(mode="quasi_static"),
+        contact="elliptic",
+    )
+    table = plan_exploration(scene).contacts
+    point, normal = columns(table, "px", "py", "pz"), columns(table, "nx", "ny", "nz")
+    height = np.einsum("ki,ki->k", columns(table, "x", "y", "z") - point, normal)
+    curvature = body.closest(point).curvature
+    assert np.ptp(curvature) > 10.0
+    force = scene.model.force(
+        depth=scene.indenter.radius - height,
+        curvature=curvature,
+        indenter_radius=scene.indenter.radius,
+        effective_modulus=scene.material.effective_modulus,
+    )
+    np.testing.assert_allclose(force, table.column("force").to_numpy(), rtol=1e-6)
+
+
 def test_contacts_are_a_spacing_apart_and_cover_all_taxels(scene, plan):
     points = plan.path.points
     gap = np.linalg.norm(points[:, None] - points, axis=2) + np.diag(np.full(len(points), np.inf))

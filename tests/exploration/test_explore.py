@@ -77,3 +77,22 @@ def test_a_plan_for_another_arm_is_refused(sphere):
     plan = ms.explore(sphere.body, sphere.skin, mode="quasi_static")
     with pytest.raises(ConfigError, match="another arm than the scene's, got no arm, limit: 6 j"):
         start_configuration(sphere, plan.path)
+
+
+@pytest.mark.parametrize("wish", [{"contacts": 3e4}, {"lane_spacing": 1e-5}])
+def test_contacts_too_close_to_one_another_are_refused(sphere, wish):
+    free = sphere.with_(
+        loop=replace(sphere.loop, mode="quasi_static"),
+        exploration=replace(sphere.exploration, **wish),
+    )
+    for carried in (None, "hand"):
+        scene = free.with_(indenter=replace(sphere.indenter, carried_by=carried))
+        with pytest.raises(ReachError, match=r"too close .* mm apart, limit: 0\.\d+ mm"):
+            plan_exploration(scene)
+
+
+def test_one_taxel_is_explored_from_all_sides():
+    body = ms.Body.ellipsoid((0.1, 0.08, 0.06))
+    skin = ms.Skin.cover(body, spacing=6e-3, count=1)
+    plan = ms.explore(body, skin, mode="quasi_static")
+    assert plan.unreachable == {}

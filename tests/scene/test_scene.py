@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 import meshskin as ms
-from meshskin.core.errors import ConfigError, UnknownNameError
+from meshskin.core.errors import ConfigError, SkinError, UnknownNameError
+from meshskin.geometry.region import Cap
 
 
 def test_a_misspelt_field_names_the_known_ones(sphere):
@@ -84,3 +85,27 @@ def test_relative_paths_start_from_the_file_they_are_written_in(tmp_path):
 def test_a_delay_must_be_a_whole_number_of_steps(sphere):
     with pytest.raises(ConfigError, match=r"whole number of steps, got 1.5 ms, .*delay_ms = 2"):
         replace(sphere.loop, delay=1.5e-3)
+
+
+def test_effects_may_come_from_any_iterable(sphere):
+    noise = ms.effects.find("gaussian_noise")(sigma_relative=0.01)
+    scene = sphere.with_(effects=(effect for effect in [noise]))
+    assert scene.effects == (noise,)
+    assert scene.belief().noise_sigma > 0.0
+
+
+def test_an_unknown_contact_model_is_refused_at_once(sphere):
+    with pytest.raises(UnknownNameError, match="did you mean hertz"):
+        sphere.with_(contact="hertzz")
+
+
+def test_the_angle_of_a_skin_needs_a_direction(tmp_path):
+    text = '[body]\nshape = "sphere"\nradius_mm = 100\n[skin]\nspacing_mm = 20\nangle_deg = 30\n'
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(ConfigError, match="needs the direction"):
+        ms.Scene.load(tmp_path / "a.toml")
+
+
+def test_a_cap_has_an_angle_in_radians():
+    with pytest.raises(SkinError, match=r"got 30 rad, limit: at most 3\.14"):
+        Cap((0.0, 0.0, 1.0), 30.0)

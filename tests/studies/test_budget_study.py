@@ -72,6 +72,5 @@ def test_the_true_error_is_within_the_budget(study, tmp_path, capsys):
     for row in rows.values():
         assert 0.5 < row["estimate_mm"] / row["true_mm"] < 2.0
         assert row["true_mm"] < 1.2 * 0.2
-        assert row["faster"] > 3.0
     assert "within a factor of 2: 100 %" in capsys.readouterr().out
     assert (tmp_path / "budget.png").stat().st_size > 10_000
