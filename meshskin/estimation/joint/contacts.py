@@ -235,8 +235,6 @@ class LinearizedContacts:
         sides = np.stack([first, np.cross(normal, first)], axis=1)
         # The height is constant: what s lifts is lowered along `up`; the closest point of a centre
         # at height h moves by 1 / (1 + h k) of the centre's motion along each principal axis.
-        # E* and force change the heights, too, which shifts moved contacts along the surface: by
-        # 7e-6 m per ln E* where they moved by 0.7 mm. That derivative is left out.
         motion = self._centres(s, height + lift)[2]
         rise = np.einsum("mi,mik->mk", normal, motion)
         cosine = np.einsum("mi,mi->m", normal, up)[:, None]
@@ -336,8 +334,7 @@ class LinearizedContacts:
         log_scale = self.parameters.value("force_scale", s) + self._drift(s)
         return np.asarray(np.exp(log_scale) * self.recorded.force)
 
-    def _drift(self, s: Array) -> Array:
-        """Drift (m,) of ln F of the measured forces."""
-        if (at := self.parameters.columns.get("force_drift")) is None:
-            return np.zeros(len(self.recorded.force))
-        return self.recorded.drifts @ self._clipped(s)[at]
+    def _drift(self, s: Array) -> Array | float:
+        """Drift (m,) of ln F of the measured forces; 0 without one."""
+        at = self.parameters.columns.get("force_drift")
+        return 0.0 if at is None else self.recorded.drifts @ self._clipped(s)[at]
