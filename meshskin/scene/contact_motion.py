@@ -34,11 +34,11 @@ class ContactMotion:
     """Their means (K,) before the readings; by default zero."""
     root: Array = field(default_factory=lambda: np.empty(0))
     """(K, k) with root root^T their covariance before the readings; by default of `sigma`."""
+    about: Array = field(default_factory=lambda: np.empty(0))
+    """The u (k,) at which the recording's contacts were computed; by default zero."""
     held: Array = field(default_factory=lambda: np.empty(0))
     """(K, h) with held held^T the further covariance, of directions that nothing determines: the
     unknowns stay at their means in these; by default there are none."""
-    about: Array = field(default_factory=lambda: np.empty(0))
-    """The u (k,) at which the recording's contacts were computed; by default zero."""
 
     def __post_init__(self) -> None:
         names, count = ("slopes", "sigma", "mean", "root", "held", "about"), len(self.labels)
