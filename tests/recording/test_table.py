@@ -186,3 +186,9 @@ def test_what_is_no_table_is_refused(tmp_path, text, words):
             tmp_path / "log.csv",
             LogMap((StreamMap("a_*", "wrench", ("a_1",)),)) if "a_1" in text else None,
         )
+
+
+@pytest.mark.parametrize("asked", [{"scan": True}, {"messages": "Reading.msg"}])
+def test_what_is_for_bags_is_refused(tmp_path, asked):
+    with pytest.raises(RecordingError, match=r"are for bags, got log.csv; leave messages="):
+        read_log(csv(tmp_path / "log.csv"), **asked)
