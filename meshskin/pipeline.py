@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .core import arrow
 from .core.arguments import check_integer
 from .core.atomic_io import check_folder, remove_results, write_json
 from .core.deadline import (
@@ -40,7 +39,12 @@ from .exploration.left_out import coverage
 from .exploration.plan import plan_exploration
 from .recording.recording import Recording
 from .scene.scene import Scene
-from .simulation.response import ForceResponse, describe_departure, force_response
+from .simulation.response import (
+    ForceResponse,
+    controlled_force,
+    describe_departure,
+    force_response,
+)
 from .simulation.simulate import simulate
 
 if TYPE_CHECKING:
@@ -248,10 +252,7 @@ def _force(recording: Recording, scene: Scene) -> ForceResponse:
         planned = np.array(recording.metadata.get("forces_n", [scene.law.force_reference]))
         nearest = np.argmin(np.abs(recording.force[:, None] - planned), axis=1)
         return force_response(recording.time, recording.force, planned[nearest])
-    time, force, reference = (
-        arrow.values(motion.column(name)) for name in ("time", "force", "reference")
-    )
-    return force_response(time, force, reference, arrow.words(motion.column("phase")))
+    return force_response(*controlled_force(motion))
 
 
 def _assess(

@@ -34,7 +34,7 @@ from meshskin.estimation.calibrate import Estimation
 from meshskin.estimation.uncertainty import metrics
 from meshskin.report import curves, maps, theme
 from meshskin.report.data import ReportData
-from meshskin.simulation.response import force_response
+from meshskin.simulation.response import controlled_force, force_response
 
 POSE_NOISE = np.array([0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0]) * 1e-3
 """Noise of the poses, m, of figure 9, left."""
@@ -73,8 +73,7 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     recording = ms.simulate(scene)
     calibration = ms.calibrate(recording, belief=scene.belief())
     assert recording.motion is not None
-    time, force = (recording.motion.column(c).to_numpy() for c in ("time", "force"))
-    reference, phase = scene.law.force_reference, recording.motion.column("phase").to_pylist()
+    time, force, reference, phase = controlled_force(recording.motion)
     settling = force_response(time, force, reference, phase).settling
     theme.save(curves.force(time, force, reference, settling), options.out, "fig4")
     shown = demonstration.demonstrate(scene.skin.poses, scene.skin.ids, recording)

@@ -31,8 +31,6 @@ TAXELS = 80
 """Most taxels that are proposed, as many as the paper has: a first run then takes seconds."""
 SIDES = ((0, 0, 1), (1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0, 0, -1))
 """Directions whose outermost point could be the middle of the skin; the first is the default."""
-DISC = 2e-3
-"""Radius of the taxels that are proposed, m: the paper's."""
 LANES = 0.55
 """Distance of the lanes over the reach of a contact (its radius and a taxel's): as on the paper's
 sphere, 3.5 mm over 6.3 mm. Wider lanes leave taxels that one lane touches only."""
@@ -79,6 +77,7 @@ def command(options: argparse.Namespace) -> int:
 def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
     """The text of a scene for the mesh or link of the options, and the command that runs it."""
     from ..exploration.reach import reach, recommended
+    from ..skin.files.table import DISC_RADIUS
 
     why = body_options.settle_units(options.file, options)
     body, opened = _body(options)
@@ -101,7 +100,7 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
         "[skin]",
         f"spacing_mm = {1e3 * SPACING:g}",
         f"count = {count}  # without it: all of the body or region, about {whole}",
-        f"disc_radius_mm = {1e3 * DISC:g}",
+        f"disc_radius_mm = {1e3 * DISC_RADIUS:g}",
         *_direction(body, count, best),
         *_patches(body),
         "",
@@ -153,7 +152,7 @@ def _count(body: Body, whole: int) -> int:
     count = min(whole, TAXELS)
     while count > 1:
         try:
-            Skin.cover(body, SPACING, count, disc_radius=DISC)
+            Skin.cover(body, SPACING, count)
         except SkinError:
             count = 3 * count // 4
         else:
@@ -173,7 +172,7 @@ def _direction(body: Body, count: int, best: Reach) -> list[str]:
     reached = {}
     for side in SIDES:
         try:
-            skin = Skin.cover(body, SPACING, count, Whole(side), disc_radius=DISC)
+            skin = Skin.cover(body, SPACING, count, Whole(side))
         except SkinError:
             continue
         scene = Scene(body=body, skin=skin, loop=Loop(mode="quasi_static"))
@@ -196,9 +195,10 @@ def _lanes(best: Reach) -> float:
     """The distance of the lanes, mm, at most the usual one, by Hertz's contact on a plane."""
     from ..contact.material import Material
     from ..scene.settings import Exploration
+    from ..skin.files.table import DISC_RADIUS
 
     radius = (0.75 * best.force * best.radius / Material().effective_modulus) ** (1 / 3)
-    return 1e3 * min(LANES * (radius + DISC), Exploration().lane_spacing)
+    return 1e3 * min(LANES * (radius + DISC_RADIUS), Exploration().lane_spacing)
 
 
 def _urdf(options: argparse.Namespace) -> list[str]:

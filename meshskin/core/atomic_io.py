@@ -6,7 +6,7 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -90,15 +90,20 @@ def write_text(path: str | Path, text: str) -> None:
 def write_json(path: str | Path, value: Any) -> None:
     """Write `value` as JSON to `path` atomically, with null for infinite and NaN numbers; numbers
     and arrays of NumPy are written as numbers and lists."""
-    write_text(path, json.dumps(_finite(value), indent=2) + "\n")
+    write_text(path, json.dumps(plain(value, finite), indent=2) + "\n")
 
 
-def _finite(value: Any) -> Any:
-    """`value` of Python's own types, with None for infinite and NaN numbers, at any depth."""
+def plain(value: Any, number: Callable[[float], Any] = float) -> Any:
+    """`value` of Python's own types, at any depth; `number`: what becomes of a float."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
-    if isinstance(value, dict):
-        return {k.item() if isinstance(k, np.generic) else k: _finite(v) for k, v in value.items()}
+    if isinstance(value, Mapping):
+        return {str(key): plain(v, number) for key, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return [plain(v, number) for v in value]
+    return number(value) if isinstance(value, float) else value
+
+
+def finite(value: float) -> float | None:
+    """None for an infinite number and for NaN, which JSON does not have."""
+    return value if math.isfinite(value) else None

@@ -17,6 +17,7 @@ from ..estimation.demonstration import Demonstration
 from ..estimation.uncertainty.metrics import position_errors, summary_mm
 from ..geometry.body import Body
 from ..recording.recording import Recording
+from ..skin.files.table import DISC_RADIUS
 from ..skin.skin import Skin
 from .plane import MM, Plane, tangent_plane
 
@@ -52,8 +53,6 @@ PAPER_REFERENCE = (
     "The paper is Cannata, Denei, Mastrogiovanni, Towards automated self-calibration of robot skin "
     "(ICRA 2010)."
 )
-DISC_RADIUS = 2e-3
-"""Radius (m) of the discs on maps where the recording does not give it: the paper's taxels."""
 
 
 def method_name(method: str) -> str:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core import arrow
 from ..core.errors import OutOfTime
 from ..core.progress import Progress, Stage
-from ..simulation.response import CONTROLLED_PHASES, force_response
+from ..simulation.response import CONTROLLED_PHASES, controlled_force, force_response
 from . import curves, learned_response, maps, precision, theme
 from .data import ReportData
 from .markup import SavedFigure
@@ -72,15 +71,11 @@ def force(folder: Path, data: ReportData) -> SavedFigure | None:
         return None
     if recording.motion is None or not recording.motion.num_rows:
         return _recorded_force(folder, recording, data) if recording.force_measured else None
-    column = {k: arrow.values(recording.motion.column(k)) for k in ("time", "force", "reference")}
-    time, values, goal = column["time"], column["force"], column["reference"]
-    phase, steady = None, None
-    if "phase" in recording.motion.column_names:
-        phase = arrow.words(recording.motion.column("phase"))
-        values = np.where(np.isin(phase, CONTROLLED_PHASES), values, np.nan)
-        sliding = phase == "slide"
-        steady = sliding if sliding.any() else None
-    settling = force_response(time, column["force"], goal, phase).settling
+    time, values, goal, phase = controlled_force(recording.motion)
+    settling = force_response(time, values, goal, phase).settling
+    values = np.where(np.isin(phase, CONTROLLED_PHASES), values, np.nan)
+    sliding = phase == "slide"
+    steady = sliding if sliding.any() else None
     return _save(
         folder,
         "fig4_force",

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pyarrow as pa
 
 from ..core import arrow
 from ..core.arrays import Array
@@ -47,6 +48,13 @@ class ForceResponse:
     """Steps without contact in which the law controls the force."""
 
 
+def controlled_force(motion: pa.Table) -> tuple[Array, Array, Array, np.ndarray]:
+    """Time, s, force and its reference, N, and phase (k,) of a simulated motion."""
+    numbers = (arrow.values(motion.column(name)) for name in ("time", "force", "reference"))
+    time, force, reference = numbers
+    return time, force, reference, arrow.words(motion.column("phase"))
+
+
 def describe_departure(recording: Recording) -> str:
     """When and where on the body the force of a simulated recording left its reference after
     settling, while the contact point slides, and what to change; "" where it stayed within
@@ -54,10 +62,8 @@ def describe_departure(recording: Recording) -> str:
     """
     if (motion := recording.motion) is None:
         return ""
-    time, force, references = (
-        arrow.values(motion.column(name)) for name in ("time", "force", "reference")
-    )
-    after = arrow.words(motion.column("phase")) == "slide"
+    time, force, references, phase = controlled_force(motion)
+    after = phase == "slide"
     off = np.abs(force / references - 1.0)
     left = after & (off > MAX_DEPARTURE)
     if not left.any():

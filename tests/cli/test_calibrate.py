@@ -17,6 +17,8 @@ from meshskin.core.errors import ConfigError, MeshError
 from meshskin.estimation.uncalibrated import uncalibrated
 from meshskin.scene.schema import body_table
 
+from .csv_log import write_log
+
 
 @pytest.fixture(scope="module")
 def scene():
@@ -37,14 +39,7 @@ def log(tmp_path_factory, scene, recording):
     mesh = scene.body.mesh.copy()
     mesh.apply_scale(1e3)
     mesh.export(folder / "ball.stl")
-    contacts = np.column_stack([recording.time, 1e3 * recording.points, recording.force])
-    head = "time,px_mm,py_mm,pz_mm,force"
-    np.savetxt(folder / "contacts.csv", contacts, "%.9g", ",", header=head, comments="")
-    time = recording.time[recording.reading_contact]
-    readings = np.column_stack([time, recording.reading_taxel, 1e-3 * recording.pressure])
-    head = "time,taxel,pressure_kpa"
-    np.savetxt(folder / "readings.csv", readings, "%.9g", ",", header=head, comments="")
-    return folder
+    return write_log(folder, recording, 1e-3 * recording.pressure, "pressure_kpa")
 
 
 def known(log):

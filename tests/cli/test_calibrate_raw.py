@@ -11,6 +11,8 @@ import pytest
 import meshskin as ms
 from meshskin import cli
 
+from .csv_log import write_log
+
 LEVELS = 255
 
 
@@ -24,19 +26,6 @@ def pressed(scene):
     rng = np.random.default_rng(0)
     near = rng.normal(scale=4e-3, size=(150, 3))
     return ms.press(scene, scene.skin.positions.mean(axis=0) + near, seed=1)
-
-
-def write_log(folder, recording, values, column):
-    """A log in CSV whose readings are `values` (k,) in the column `column`."""
-    folder.mkdir()
-    contacts = np.column_stack([recording.time, 1e3 * recording.points, recording.force])
-    head = "time,px_mm,py_mm,pz_mm,force"
-    np.savetxt(folder / "contacts.csv", contacts, "%.9g", ",", header=head, comments="")
-    time = recording.time[recording.reading_contact]
-    readings = np.column_stack([time, recording.reading_taxel, values])
-    head = f"time,taxel,{column}"
-    np.savetxt(folder / "readings.csv", readings, "%.9g", ",", header=head, comments="")
-    return folder
 
 
 def counts(pressure):

@@ -238,17 +238,17 @@ def test_a_method_that_finds_nothing_is_left_out_of_the_comparison(tmp_path, cap
 @pytest.mark.slow
 def test_a_method_that_places_nothing_is_left_out_of_the_comparison(tmp_path, monkeypatch):
     """It returns, without an error of its own, a calibration in which no taxel has a place."""
-    whole = pipeline.Estimation.calibrate
+    whole = pipeline.Estimation.without_verdict
 
-    def places_nothing(estimation, method="joint", **options):
-        found = whole(estimation, method, **options)
+    def places_nothing(estimation, method, progress):
+        found = whole(estimation, method, progress)
         if method != "posegraph_paper":
             return found
         nowhere = np.full_like(found.poses, np.nan)
         why = np.full(len(found.ids), "shares too few contacts")
         return replace(found, poses=nowhere, reasons=why)
 
-    monkeypatch.setattr(pipeline.Estimation, "calibrate", places_nothing)
+    monkeypatch.setattr(pipeline.Estimation, "without_verdict", places_nothing)
     drawn = {"figures_left_out": []}  # the test above draws them
     monkeypatch.setattr(pipeline, "_report", lambda _, result: result.metrics.update(drawn))
     text = 'extends = "sphere"\n[skin]\ncount = 7'

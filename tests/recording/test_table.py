@@ -250,3 +250,9 @@ def test_columns_that_occur_twice_are_refused(tmp_path):
     twice = LogMap((StreamMap("skin", "taxels", ("skin_*", "skin_5")),))
     with pytest.raises(RecordingError, match="got skin_5; rename it in the header, or correct"):
         read_log(path, twice)
+
+
+@pytest.mark.parametrize("asked", [{"scan": True}, {"messages": "Reading.msg"}])
+def test_what_is_for_bags_is_refused(tmp_path, asked):
+    with pytest.raises(RecordingError, match=r"are for bags, got log.csv; leave messages="):
+        read_log(csv(tmp_path / "log.csv"), **asked)

@@ -86,7 +86,8 @@ def recording(motion: bool = True) -> Recording:
     t = np.arange(0.0, 10.0, 1e-3)
     force = 3.0 * (1 - np.exp(-np.maximum(t - 0.3, 0.0) / 0.015))
     force += np.where(t > 0.6, 0.004 * np.sin(20 * t), 0.0)
-    table = pa.table({"time": t, "force": force, "reference": np.full(len(t), 3.0)})
+    phase = np.where(t > 0.6, "slide", "touch")
+    table = pa.table({"time": t, "force": force, "reference": np.full(len(t), 3.0), "phase": phase})
     metadata = {
         "scene": "sphere <made up>", "seed": 1, "disc_radius_m": 2e-3, "threshold_pa": 10.0,
         "taxel_ids": list(range(COUNT)),

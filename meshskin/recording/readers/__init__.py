@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from ...core.arguments import check_path, check_type
@@ -45,7 +46,6 @@ def read_and_suggest(
 ) -> tuple[Log, dict[str, list[StreamMap]]]:
     """The log at `path` and, without a map, what its streams could be, the likeliest first."""
     from ..log_map import LogMap
-    from . import table, yarp
     from .bag import read as bag
 
     if log_map is not None:
@@ -55,18 +55,30 @@ def read_and_suggest(
     if not path.exists():
         raise RecordingError(f"no log at {path}", remedy="check the path")
     try:
-        if path.is_dir():
-            names = {file.name for file in path.iterdir()}
-            suffixes = {Path(name).suffix for name in names}
-            if any(path.rglob("data.log")):
-                return yarp.read(path, log_map, progress=progress)
-            if "metadata.yaml" not in names and suffixes & set(table.SUFFIXES):
-                return table.read(path, log_map, progress=progress)
-        elif not bag.format_of(path):
-            if path.name in ("data.log", "info.log"):
-                return yarp.read(path, log_map, progress=progress)
-            return table.read(path, log_map, progress=progress)
+        if (reader := _other_reader(path)) is not None:
+            if messages or scan:
+                raise RecordingError(
+                    "message types and the scan of records are for bags", value=path.name,
+                    remedy="leave messages= (--messages) and scan=True (--scan) out",
+                )  # fmt: skip
+            return reader.read(path, log_map, progress=progress)
         files = (*map(Path, messages), *(log_map.messages if log_map is not None else ()))
         return bag.read(path, log_map, files, progress=progress, scan=scan)
     except OSError as error:
         raise RecordingError(f"cannot read {path}", value=error.strerror) from error
+
+
+def _other_reader(path: Path) -> ModuleType | None:
+    """The reader of a log that is no bag; None: it is one."""
+    from . import table, yarp
+    from .bag import read as bag
+
+    if path.is_dir():
+        names = {file.name for file in path.iterdir()}
+        if any(path.rglob("data.log")):
+            return yarp
+        tables = {Path(name).suffix for name in names} & set(table.SUFFIXES)
+        return table if "metadata.yaml" not in names and tables else None
+    if bag.format_of(path):
+        return None
+    return yarp if path.name in ("data.log", "info.log") else table

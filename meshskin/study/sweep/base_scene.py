@@ -20,6 +20,7 @@ import numpy as np
 
 from ...core import config
 from ...core.arguments import check_type
+from ...core.atomic_io import plain
 from ...core.errors import ConfigError, StudyError, UnknownNameError
 from ...core.provenance import digest
 from ...effects import find
@@ -266,16 +267,5 @@ def source_text(code: Any) -> str:
 
 def canonical_json(value: Any) -> str:
     """JSON that is equal for equal values: sorted keys, 3.0 as 3, NumPy numbers as Python's."""
-    return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"), default=str)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(v) for key, v in value.items()}
-    if isinstance(value, np.generic | np.ndarray):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, float) and value.is_integer():
-        return int(value)
-    return value
+    found = plain(value, lambda number: int(number) if number.is_integer() else number)
+    return json.dumps(found, sort_keys=True, separators=(",", ":"), default=str)
