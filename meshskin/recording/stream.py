@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -20,6 +20,9 @@ JOINTS, TAXELS, WRENCH, POSE, CONTACTS = KINDS = ("joints", "taxels", "wrench", 
 GAP_PERIODS = 5.0
 """Median periods between two samples from which they have a gap between them: loaded computers
 deliver samples up to about three periods late."""
+MAX_LATE = 0.1
+"""Time, s, by which a message may arrive after one that was stamped later: executors and networks
+delay by some tens of ms, and clocks that are set back go back by more or are off by as little."""
 
 
 class Gap(NamedTuple):
@@ -113,6 +116,17 @@ class Stream(Value):
                 value=f"{self.times[row]:.6f} s after {self.times[row - 1]:.6f} s in message {row}",
                 remedy='take the time of receipt (time = "receipt" in the map), or cut the log',
             )
+
+
+def in_order(stream: Stream) -> Stream:
+    """The samples by their times, where none is more than MAX_LATE behind one before it: messages
+    are recorded as they arrive. Others, of a clock that was set back, stay as they are."""
+    if stream.backward is None or np.any(
+        np.maximum.accumulate(stream.times) - stream.times > MAX_LATE
+    ):
+        return stream
+    rows = np.argsort(stream.times, kind="stable")
+    return replace(stream, times=stream.times[rows], values=stream.values[rows])
 
 
 @dataclass(frozen=True)

@@ -183,8 +183,9 @@ def write_mcap(path: Path, streams, **options):
         writer.finish()
 
 
-def write_types(path: Path, topic: str, kind: str, definitions: dict, rows, late=0.0):
-    """An MCAP file by rosbags' types of user messages; rows: (time, make(types))."""
+def write_types(path: Path, topic: str, kind: str, definitions: dict, rows, stated=True):
+    """An MCAP file by rosbags' types of user messages; rows: (time of receipt, make(types)). Not
+    stated: without their definition, as a recorder writes it that does not find it."""
     from mcap.writer import Writer
 
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -194,8 +195,15 @@ def write_types(path: Path, topic: str, kind: str, definitions: dict, rows, late
         writer = Writer(file)
         writer.start(profile="ros2", library="test")
         definition, _ = store.generate_msgdef(kind, ros_version=2)
-        schema = writer.register_schema(kind, "ros2msg", definition.encode())
-        channel = writer.register_channel(topic, "cdr", schema)
+        given = ("ros2msg", definition.encode()) if stated else ("", b"")
+        channel = writer.register_channel(topic, "cdr", writer.register_schema(kind, *given))
+        if not stated:  # the recorder has found those of other topics
+            other = "std_msgs/msg/String"
+            definition, _ = store.generate_msgdef(other, ros_version=2)
+            schema = writer.register_schema(other, "ros2msg", definition.encode())
+            data = bytes(store.serialize_cdr(store.types[other](data=""), other))
+            said = writer.register_channel("/said", "cdr", schema)
+            writer.add_message(said, log_time=1, data=data, publish_time=1)
         for time, make in rows:
             _, ns = stamp(store, time)
             data = bytes(store.serialize_cdr(make(store), kind))

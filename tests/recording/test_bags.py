@@ -244,12 +244,12 @@ def xela(store, row):
     return types["xela_server_ros2/msg/SensStream"](sensors=halves)
 
 
-def tactile(store, row):
+def tactile(store, row, time=3.0):
     channel = store.types["sensor_msgs/msg/ChannelFloat32"]
     sensors = [
         channel(name=n, values=v.astype(np.float32)) for n, v in (("a", row[:6]), ("b", row[6:]))
     ]
-    header = robot_log.header(store, 3.0)
+    header = robot_log.header(store, time)
     return store.types["tactile_msgs/msg/TactileState"](header=header, sensors=sensors)
 
 
@@ -305,6 +305,40 @@ def test_a_definition_that_the_bag_lacks_is_given(tmp_path):
     (tmp_path / "SensorData.msg").write_text(text)
     log = read_log(folder / "old.db3", log_map, messages=[tmp_path / "SensorData.msg"])
     np.testing.assert_array_equal(log["/skin"].values, [np.arange(9)])
+
+
+def test_standard_types_within_a_definition_that_is_given(tmp_path):
+    """A recorder that did not find the definition wrote none, and those of other topics."""
+    (kind, text), path = next(iter(TACTILE.items())), tmp_path / "skin.mcap"
+    rows = [(0.1, lambda store: tactile(store, np.arange(9)))]
+    robot_log.write_types(path, "/skin", kind, TACTILE, rows, stated=False)
+    log, could = read_and_suggest(path)
+    assert not could["/skin"]
+    assert any("does not define the message type of /skin" in note for note in log.notes)
+    (tmp_path / "TactileState.msg").write_text(text)
+    (guess,) = read_and_suggest(path, messages=[tmp_path / "TactileState.msg"])[1]["/skin"]
+    assert (guess.kind, guess.length) == ("taxels", 9)
+
+
+@pytest.mark.parametrize("back", [0.05, 0.5])
+def test_messages_that_arrive_late_are_sorted_by_their_stamps(tmp_path, back):
+    kind, path, stamps = next(iter(TACTILE)), tmp_path / "skin.mcap", 0.01 * np.arange(90)
+    stamps[40] = stamps[41] - back
+    robot_log.write_types(
+        path, "/skin", kind, TACTILE,
+        [
+            (k / 100, lambda store, t=t: tactile(store, np.full(9, round(1e3 * t)), t))
+            for k, t in enumerate(stamps)
+        ],
+    )  # fmt: skip
+    stream = read_log(path, LogMap((StreamMap("/skin", "taxels"),)))["/skin"]
+    if back > 0.1:
+        with pytest.raises(RecordingError, match="the time of /skin runs backwards"):
+            stream.check_times()
+        return
+    stream.check_times()
+    np.testing.assert_allclose(stream.times - robot_log.EPOCH, np.sort(stamps), atol=1e-6)
+    np.testing.assert_array_equal(stream.values[:, 0], np.sort(np.round(1e3 * stamps)))
 
 
 def test_messages_in_json(tmp_path):

@@ -12,7 +12,7 @@ import numpy as np
 
 from ....core.errors import RecordingError, UnknownNameError
 from ...message_types import suggestions
-from ...stream import Log, Stream
+from ...stream import Log, Stream, in_order
 from ..samples import NANO, Samples
 from . import mcap_file, ros1, sqlite_file
 from .indexed import IndexedBag, require_rosbags
@@ -120,7 +120,7 @@ def _collect(path: Path, bag: Bag, log_map: LogMap | None, progress: bool) -> tu
         for topic, count in damaged.items()
         if count
     ]
-    return Log(path, tuple(one.stream() for one in every), (*bag.notes, *left_out)), {}
+    return Log(path, tuple(in_order(one.stream()) for one in every), (*bag.notes, *left_out)), {}
 
 
 def _times(path: Path, bag: Bag, progress: bool) -> tuple[Log, Could]:
@@ -136,8 +136,8 @@ def _times(path: Path, bag: Bag, progress: bool) -> tuple[Log, Could]:
         stamp = _stamp(data) if topic in headers else NANO * receipt
         times[topic].append(stamp)
     streams = tuple(
-        Stream(topic, bag.types[topic], np.array(times[topic]), np.empty((len(times[topic]), 0)))
-        for topic in sorted(times)
+        in_order(Stream(topic, bag.types[topic], np.array(own), np.empty((len(own), 0))))
+        for topic, own in sorted(times.items())
     )
     return Log(path, streams, tuple(bag.notes)), could
 
@@ -145,7 +145,8 @@ def _times(path: Path, bag: Bag, progress: bool) -> tuple[Log, Could]:
 def _suggest(bag: Bag, topic: str, data: bytes) -> list[StreamMap]:
     try:
         message: Any = bag.decoder(topic)(data)
-    except RecordingError:
+    except RecordingError as error:
+        bag.notes.append(str(error))
         return []
     return suggestions(topic, bag.types[topic], message)
 

@@ -106,12 +106,12 @@ def register(store: Any, types: Any) -> None:
 
 
 def register_files(store: Any, files: Collection[Path], wanted: Collection[str]) -> None:
-    """Add the types of .msg files.
+    """Add the types of .msg files, and the standard ones that they may consist of.
 
     The package is that of a wanted type of the same name, or the folder of the file (or of its
     folder msg). Raises RecordingError for a file that cannot be read.
     """
-    from rosbags.typesys import TypesysError, get_types_from_msg
+    from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
     for file in files:
         folder = file.resolve().parent
@@ -129,6 +129,8 @@ def register_files(store: Any, files: Collection[Path], wanted: Collection[str])
                 f"{file} is not a message definition: {error}",
                 remedy="give a .msg file of ROS",
             ) from error
+    if files:
+        register(store, get_typestore(Stores.LATEST).fielddefs)
 
 
 def decoder(store: Any, connection: Connection) -> Callable[[bytes], Any]:
