@@ -132,9 +132,14 @@ class Recording(Value, Card):
         return facts | ({"taxels not covered": str(len(lost))} if lost else {})
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the contact points, coloured by the force; ax: matplotlib axes (None: a figure)."""
+        """Draw the contact points, coloured by the force; ax: matplotlib axes (None: a figure).
+
+        Raises RecordingError without contacts.
+        """
         from ..core import drawing
 
+        if not len(self.time):
+            raise RecordingError("the recording has no contacts to draw")
         return drawing.solid(
             ax,
             toward=drawing.front(self.normals),
@@ -252,7 +257,9 @@ class Recording(Value, Card):
 
     @cached_property
     def time_lag(self) -> Array:
-        """Time (k,), s, of each reading after that of its contact."""
+        """Time (k,), s, of each reading after that of its contact; NaN without contacts."""
+        if not len(self.time):
+            return np.full(len(self.readings), np.nan)
         return _column(self.readings, "time") - self.time[self._nearest_contact]
 
     @cached_property
