@@ -36,12 +36,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CONTACTS = pa.schema(
+CONTACT_SCHEMA = pa.schema(
     [(name, pa.float64()) for name in ("time", "px", "py", "pz", "nx", "ny", "nz", "force")]
 )
 QUATERNION = ("qw", "qx", "qy", "qz")
 """Optional columns of `contacts`."""
-READINGS = pa.schema([("time", pa.float64()), ("taxel", pa.int32()), ("pressure", pa.float64())])
+READING_SCHEMA = pa.schema(
+    [("time", pa.float64()), ("taxel", pa.int32()), ("pressure", pa.float64())]
+)
 MAX_TIME_LAG = 0.49
 """Largest distance in time of a reading from its contact, in frames: at half a frame two contacts
 are equally near."""
@@ -90,8 +92,8 @@ class Recording(Value, Card):
 
     def __post_init__(self) -> None:
         for name, table, schema in (
-            ("contacts", self.contacts, CONTACTS),
-            ("readings", self.readings, READINGS),
+            ("contacts", self.contacts, CONTACT_SCHEMA),
+            ("readings", self.readings, READING_SCHEMA),
         ):
             missing = set(schema.names) - set(table.column_names)
             if missing:

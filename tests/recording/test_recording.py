@@ -5,7 +5,7 @@ import pyarrow as pa
 import pytest
 
 from meshskin.core.errors import OutputError, RecordingError, UnknownNameError
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 from meshskin.recording.recording_files import RecordingWriter, part_path
 
 READINGS_CSV = "time,taxel,pressure\n0,1,2\n"
@@ -13,9 +13,10 @@ READINGS_CSV = "time,taxel,pressure\n0,1,2\n"
 
 def tables(times=(0.0, 0.1, 0.2), read=(0.0, 0.2, 0.2)):
     n = len(times)
-    contacts = pa.table([np.array(times), *np.arange(7.0 * n).reshape(7, n)], schema=CONTACTS)
+    contacts = pa.table([np.array(times), *np.arange(7.0 * n).reshape(7, n)], schema=CONTACT_SCHEMA)
     readings = pa.table(
-        [np.array(read), np.arange(len(read), dtype=np.int32), np.ones(len(read))], schema=READINGS
+        [np.array(read), np.arange(len(read), dtype=np.int32), np.ones(len(read))],
+        schema=READING_SCHEMA,
     )
     return contacts, readings
 
