@@ -229,12 +229,7 @@ class Recording(Value, Card):
         Raises RecordingError for a reading further than half a frame from every contact.
         """
         times, row = _column(self.readings, "time"), self._nearest_contact
-        far = (
-            np.abs(self.time_lag) > MAX_TIME_LAG * self.frame
-            if len(self.time)
-            else np.ones(len(times), dtype=bool)
-        )
-        far |= np.isnan(times)
+        far = ~(np.abs(self.time_lag) <= MAX_TIME_LAG * self.frame)  # or not a number
         if np.any(far):
             raise RecordingError(
                 "a reading has no contact at its time",
