@@ -41,7 +41,7 @@ from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.joint.reduced_nlp import MAX_ITERATIONS
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.uncertainty import metrics
-from meshskin.recording.recording import READINGS
+from meshskin.recording.recording import READING_SCHEMA
 from meshskin.report import theme
 
 CONTACTS, NOISE, THRESHOLD = 2000, 0.01, 0.05
@@ -116,7 +116,7 @@ class World:
         p += NOISE * self.peak * np.random.default_rng(seed).normal(size=p.shape)
         contact, taxel = np.nonzero(p > THRESHOLD * self.peak)
         columns = [self.quiet.time[contact], self.skin.ids[taxel].astype(np.int32)]
-        table = pa.table([*columns, p[contact, taxel]], schema=READINGS)
+        table = pa.table([*columns, p[contact, taxel]], schema=READING_SCHEMA)
         return ms.Recording(self.quiet.contacts, table, self.quiet.metadata)
 
     def errors(self, recording: ms.Recording) -> tuple[np.ndarray, ms.Calibration]:

@@ -5,7 +5,7 @@ import numpy as np
 import meshskin as ms
 from meshskin.estimation.adaptive import Adaptive
 from meshskin.exploration.path import Path, Plan
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 
 
 def test_scenes_and_their_parts_print_one_line(sphere):
@@ -28,7 +28,9 @@ def test_calibrations_print_what_was_found(sphere):
 
 
 def test_recordings_print_their_size():
-    empty = Recording(CONTACTS.empty_table(), READINGS.empty_table(), {"taxel_ids": np.arange(3)})
+    empty = Recording(
+        CONTACT_SCHEMA.empty_table(), READING_SCHEMA.empty_table(), {"taxel_ids": np.arange(3)}
+    )
     assert "0 contacts" in repr(empty)
     assert "of 3 taxels, without" in repr(empty)
 

@@ -144,7 +144,7 @@ def _calibrate_joints(
 
 def _lines(found: LogCalibration) -> list[str]:
     """Lines about the heights of the contacts, and what errors of the joints explain of them."""
-    from ..robot.contact_kinematics import DELAYS
+    from ..robot.contact_kinematics import JOINT_DELAY
 
     before, after = found.heights_mm
     model = found.kinematics
@@ -152,6 +152,6 @@ def _lines(found: LogCalibration) -> list[str]:
     against = [f"  delays of joints and clock are against the stamps of {timed[0]}"]
     return [
         f"  contacts lie {before:.3g} mm off the body before the estimate, {after:.2g} mm after it",
-        *(against if DELAYS in model.columns and timed else []),
+        *(against if JOINT_DELAY in model.columns and timed else []),
         *(f"  {residual.words}" for residual in found.joint_residuals if residual.words),
     ]

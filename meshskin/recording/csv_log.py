@@ -17,11 +17,12 @@ from ..core import arrow
 from ..core.config import UNITS
 from ..core.errors import RecordingError
 
-SUFFIXES = {
-    "": 1.0,
-    **{name: factor for unit in ("m", "s", "N", "Pa") for name, factor in UNITS[unit].items()},
-}
-"""Unit suffixes of columns, with the factor to SI."""
+QUANTITIES = {
+    "time": "s", "force": "N", "pressure": "Pa",
+    **dict.fromkeys(("px", "py", "pz"), "m"),
+    **dict.fromkeys(("nx", "ny", "nz", "qw", "qx", "qy", "qz", "taxel", "reading", "count"), ""),
+}  # fmt: skip
+"""SI units of the columns that are read; columns beside them may have any."""
 REQUIRED = {
     "contacts": ("time", "px", "py", "pz", "force"),
     "readings": ("time", "taxel", "pressure"),
@@ -71,12 +72,14 @@ def read(file: Path, part: str) -> pa.Table:
     columns: dict[str, pa.Array] = {}
     for label, values in _read_columns(file).items():
         name, _, suffix = label.strip().lower().partition("_")
-        factor = SUFFIXES.get(suffix)
-        if factor is None or name in columns or (suffix and name in RAW_COLUMNS):
+        every = [QUANTITIES[name]] if name in QUANTITIES else ["", "m", "s", "N", "Pa"]
+        units = {"": 1.0} | {u: factor for unit in every for u, factor in UNITS[unit].items()}
+        factor = None if label.strip().endswith("mPa") else units.get(suffix)  # milli, not mega
+        if factor is None or name in columns:
             raise RecordingError(
                 f"a column of {file.name} has an unknown unit or occurs twice",
                 value=label,
-                limit=f"units {', '.join(filter(None, SUFFIXES))}",
+                limit=f"{name}{', '.join(f' or {name}_{unit}' for unit in units if unit)}",
                 remedy="rename or remove it",
             )
         numbers = _integers(values, file) if name == "taxel" else _numbers(values, label, file)

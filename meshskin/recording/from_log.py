@@ -13,8 +13,7 @@ from ..core.errors import ConfigError, RecordingError
 from .contact_force import REST_SIGMAS
 from .log_map import BODY, CONTACT, LogMap, Pairs, StreamMap
 from .readers.yarp import SKIN_CONTACTS
-from .recording import CONTACTS as CONTACT_SCHEMA
-from .recording import FROM_TAXELS, QUATERNION, UNCOMPARED, Recording
+from .recording import CONTACT_SCHEMA, FROM_TAXELS, QUATERNION, UNCOMPARED, Recording
 from .resample import LogFrames, paired, with_skin_late
 from .skin_log import SkinLog
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream

@@ -16,7 +16,7 @@ import pyarrow as pa
 from ..core.arrays import Array
 from ..core.errors import RecordingError
 from ..robot.contact_kinematics import JointPath, unwrapped
-from .recording import CONTACTS, JOINT_ANGLES, NOMINAL, READINGS, Recording
+from .recording import CONTACT_SCHEMA, JOINT_ANGLES, NOMINAL, READING_SCHEMA, Recording
 from .skin_log import SkinLog
 from .tare import SIGMA_PER_MAD
 
@@ -153,9 +153,9 @@ def recording_of(
     values = log.readings[frames]
     # a missing reading is kept as NaN: left out, it would be a silence
     contact, column = np.nonzero(np.isfinite(values) | log.missing[frames])
-    contacts = pa.table([time, *points.T, *normals.T, force], schema=CONTACTS)
+    contacts = pa.table([time, *points.T, *normals.T, force], schema=CONTACT_SCHEMA)
     ids = np.asarray(log.taxel_ids)
-    schema = READINGS.set(1, pa.field("taxel", pa.from_numpy_dtype(ids.dtype)))
+    schema = READING_SCHEMA.set(1, pa.field("taxel", pa.from_numpy_dtype(ids.dtype)))
     table = pa.table([time[contact], ids[column], values[contact, column]], schema=schema)
     metadata = {"taxel_ids": ids.tolist(), "readings": readings, "source": JOINT_ANGLES}
     if log.force is None:

@@ -24,6 +24,7 @@ import numpy as np
 
 from ..core.arguments import check_integer, check_name, check_path, check_type
 from ..core.arrays import Array
+from ..core.config import UNITS as SI_UNITS
 from ..core.config import check_fields, check_table, from_table, quantity, read_toml
 from ..core.errors import ConfigError, UnknownNameError
 from . import field_path
@@ -47,7 +48,7 @@ WORDS = {
     CONTACTS: "contact point x y z, outward normal x y z where known, and force where known",
 }
 """What the values of a kind are, for error messages."""
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS = SI_UNITS["s"] | {"ns": 1e-9}
 """Units of time by name, s."""
 POLARITIES = AUTO, RISING, FALLING = ("auto", "rising", "falling")
 """Whether readings rise or fall under pressure; "auto" finds out."""

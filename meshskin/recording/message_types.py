@@ -10,7 +10,7 @@ from .log_map import StreamMap
 from .stream import CONTACTS, JOINTS, POSE, TAXELS, WRENCH
 
 POINT = ("x", "y", "z")
-QUATERNION = ("x", "y", "z", "w")
+ORIENTATION = ("x", "y", "z", "w")
 
 
 def _paths(prefix: str, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -22,7 +22,7 @@ def _wrench(prefix: str) -> tuple[str, ...]:
 
 
 def _pose(position: str, orientation: str) -> tuple[str, ...]:
-    return _paths(position, POINT) + _paths(orientation, QUATERNION)
+    return _paths(position, POINT) + _paths(orientation, ORIENTATION)
 
 
 NUMBERS = ("Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8", "UInt16", "UInt32")

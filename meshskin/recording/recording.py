@@ -36,12 +36,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CONTACTS = pa.schema(
+CONTACT_SCHEMA = pa.schema(
     [(name, pa.float64()) for name in ("time", "px", "py", "pz", "nx", "ny", "nz", "force")]
 )
 QUATERNION = ("qw", "qx", "qy", "qz")
 """Optional columns of `contacts`."""
-READINGS = pa.schema([("time", pa.float64()), ("taxel", pa.int32()), ("pressure", pa.float64())])
+READING_SCHEMA = pa.schema(
+    [("time", pa.float64()), ("taxel", pa.int32()), ("pressure", pa.float64())]
+)
 MAX_TIME_LAG = 0.49
 """Largest distance in time of a reading from its contact, in frames: at half a frame two contacts
 are equally near."""
@@ -90,8 +92,8 @@ class Recording(Value, Card):
 
     def __post_init__(self) -> None:
         for name, table, schema in (
-            ("contacts", self.contacts, CONTACTS),
-            ("readings", self.readings, READINGS),
+            ("contacts", self.contacts, CONTACT_SCHEMA),
+            ("readings", self.readings, READING_SCHEMA),
         ):
             missing = set(schema.names) - set(table.column_names)
             if missing:
@@ -132,9 +134,14 @@ class Recording(Value, Card):
         return facts | ({"taxels not covered": str(len(lost))} if lost else {})
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the contact points, coloured by the force; ax: matplotlib axes (None: a figure)."""
+        """Draw the contact points, coloured by the force; ax: matplotlib axes (None: a figure).
+
+        Raises RecordingError without contacts.
+        """
         from ..core import drawing
 
+        if not len(self.time):
+            raise RecordingError("the recording has no contacts to draw")
         return drawing.solid(
             ax,
             toward=drawing.front(self.normals),
@@ -222,12 +229,7 @@ class Recording(Value, Card):
         Raises RecordingError for a reading further than half a frame from every contact.
         """
         times, row = _column(self.readings, "time"), self._nearest_contact
-        far = (
-            np.abs(self.time_lag) > MAX_TIME_LAG * self.frame
-            if len(self.time)
-            else np.ones(len(times), dtype=bool)
-        )
-        far |= np.isnan(times)
+        far = ~(np.abs(self.time_lag) <= MAX_TIME_LAG * self.frame)  # or not a number
         if np.any(far):
             raise RecordingError(
                 "a reading has no contact at its time",
@@ -252,7 +254,9 @@ class Recording(Value, Card):
 
     @cached_property
     def time_lag(self) -> Array:
-        """Time (k,), s, of each reading after that of its contact."""
+        """Time (k,), s, of each reading after that of its contact; NaN without contacts."""
+        if not len(self.time):
+            return np.full(len(self.readings), np.nan)
         return _column(self.readings, "time") - self.time[self._nearest_contact]
 
     @cached_property

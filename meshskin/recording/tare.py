@@ -93,8 +93,9 @@ def tare(
     if missing.any():
         values = _filled(values, missing)
     columns = [slice(k, min(k + COLUMNS, t)) for k in range(0, t, COLUMNS)]
-    span = np.concatenate([_range(values[:, part]) for part in columns])
-    glitches = np.concatenate([_jumps(values[:, p], GLITCH * span.max()) for p in columns], axis=1)
+    largest, span = np.concatenate([_ranges(values[:, part]) for part in columns], axis=1)
+    far = GLITCH * largest.max()
+    glitches = np.concatenate([_jumps(values[:, part], far) for part in columns], axis=1)
     alone = np.convolve(glitches.any(axis=1), [1, 1, 1], "same") == 1
     glitches &= alone[:, None]
     if glitches.any():
@@ -189,11 +190,12 @@ def _silent(name: str, why: str) -> RecordingError:
     )
 
 
-def _range(values: NDArray[np.number]) -> Array:
-    """Range (t,) of readings (n, t) without those of single frames, and without rare ones."""
+def _ranges(values: NDArray[np.number]) -> Array:
+    """Range of readings (n, t) without those of single frames, and without all rare ones (2, t)."""
     one, two, three = values[:-2], values[1:-1], values[2:]
     middle = np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), three))
-    return np.asarray(np.diff(np.quantile(middle.astype(float), RANGE, axis=0), axis=0)[0])
+    low, high = np.quantile(middle, RANGE, axis=0)
+    return np.stack([np.ptp(middle, axis=0), high - low])
 
 
 def _jumps(values: NDArray[np.number], least: float) -> NDArray[np.bool_]:

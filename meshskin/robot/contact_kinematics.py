@@ -39,7 +39,7 @@ SIZES = {
 }
 """Number of entries of each unknown; joint_offset has one for each joint of the chain, joint_delay
 for each of `ContactKinematics.delayed`."""
-JOINTS, DELAYS = "joint_offset", "joint_delay"
+JOINT_OFFSET, JOINT_DELAY = "joint_offset", "joint_delay"
 SIGMAS = MappingProxyType(
     {
         "joint_offset": math.radians(1.0),
@@ -147,7 +147,7 @@ class ContactKinematics(NamedFields):
             raise ConfigError(
                 "unknowns of contact kinematics must be a Mapping",
                 value=repr_short(self.unknown),
-                remedy=f'give standard deviations by name: unknown={{"{JOINTS}": 0.017}}',
+                remedy=f'give standard deviations by name: unknown={{"{JOINT_OFFSET}": 0.017}}',
             )
         for name, sigma in self.unknown.items():
             if name not in SIGMAS:
@@ -173,7 +173,10 @@ class ContactKinematics(NamedFields):
     def _joints(self) -> dict[str, tuple[str, ...]]:
         """The joints that have an entry of an unknown that is one of each joint."""
         names = self.chain.joint_names
-        return {JOINTS: names, DELAYS: names[1:] if self.delayed is None else self.delayed}
+        return {
+            JOINT_OFFSET: names,
+            JOINT_DELAY: names[1:] if self.delayed is None else self.delayed,
+        }
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
@@ -211,13 +214,13 @@ class ContactKinematics(NamedFields):
     @cached_property
     def _late(self) -> list[int]:
         """Index of each of the joints that may be late."""
-        return [self.chain.joint_names.index(name) for name in self._joints[DELAYS]]
+        return [self.chain.joint_names.index(name) for name in self._joints[JOINT_DELAY]]
 
     def delays(self, s: Array) -> Array:
         """How late (k,), s, the stamps of all joints are with the unknowns s (K,)."""
         out = np.zeros(len(self.chain.joint_names))
-        if DELAYS in self.columns:
-            out[self._late] = s[self.columns[DELAYS]]
+        if JOINT_DELAY in self.columns:
+            out[self._late] = s[self.columns[JOINT_DELAY]]
         return out
 
     def centres(self, path: JointPath, time: Array, s: Array) -> tuple[Array, Array]:
@@ -225,7 +228,11 @@ class ContactKinematics(NamedFields):
         and their derivatives (m, 3, K).
         """
         angles, rates = path.at(time - self.value("clock_offset", s), self.delays(s))
-        joints = s[self.columns[JOINTS]] if JOINTS in self.columns else np.zeros(angles.shape[1])
+        joints = (
+            s[self.columns[JOINT_OFFSET]]
+            if JOINT_OFFSET in self.columns
+            else np.zeros(angles.shape[1])
+        )
         point = self.indenter.copy()
         if "indenter_position" in self.columns:
             point += s[self.columns["indenter_position"]]
@@ -237,10 +244,10 @@ class ContactKinematics(NamedFields):
         centre = (poses[:, :3, 3] - mount[:3, 3]) @ back.T
         slopes = np.zeros((len(centre), 3, len(s)))
         by_joint = back @ by_joint
-        if JOINTS in self.columns:
-            slopes[:, :, self.columns[JOINTS]] = by_joint
-        if DELAYS in self.columns:
-            slopes[:, :, self.columns[DELAYS]] = (by_joint * rates[:, None])[:, :, self._late]
+        if JOINT_OFFSET in self.columns:
+            slopes[:, :, self.columns[JOINT_OFFSET]] = by_joint
+        if JOINT_DELAY in self.columns:
+            slopes[:, :, self.columns[JOINT_DELAY]] = (by_joint * rates[:, None])[:, :, self._late]
         if "indenter_position" in self.columns:
             slopes[:, :, self.columns["indenter_position"]] = back @ poses[:, :3, :3]
         if "clock_offset" in self.columns:

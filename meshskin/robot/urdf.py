@@ -104,12 +104,13 @@ class UrdfTree:
                 raise ArmError(
                     f"joint {j.name!r}{where} names a link that is missing", value=repr(link)
                 )
+        names = [j.name for j in self.joints]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise ArmError(f"two joints{where} have one name", value=twice)
         children = [j.child for j in self.joints]
         roots = [link for link in self.links if link not in children]
-        twice = len(self.links) < len(self.root.findall("link")) or len(set(children)) < len(
-            children
-        )
-        if len(roots) != 1 or twice:
+        elements = self.root.findall("link")
+        if len(roots) != 1 or len(self.links) < len(elements) or len(set(children)) < len(children):
             raise ArmError(
                 f"the links{where} do not form a tree", value=f"roots {roots}", limit="one root"
             )
@@ -218,6 +219,10 @@ def _joint(element: ET.Element, where: str) -> Joint:
             raise ArmError(f"zero axis{here}")
         axis, length = np.array([1.0, 0.0, 0.0]), np.float64(1.0)
     given = {} if limit is None else limit.attrib
+    limits = {key: float(vector(limit, key, "", 1, here)[0]) for key in given}
+    lower, upper = limits.get("lower", 0.0), limits.get("upper", 0.0)
+    if kind in ("revolute", "prismatic") and lower > upper:
+        raise ArmError(f"the lower limit{here} is above the upper one", value=f"{lower} > {upper}")
     return Joint(
         name=element.get("name", ""),
         kind=kind,
@@ -226,7 +231,7 @@ def _joint(element: ET.Element, where: str) -> Joint:
         xyz=vector(origin, "xyz", "0 0 0", 3, here),
         rpy=vector(origin, "rpy", "0 0 0", 3, here),
         axis=axis / length,
-        limits={key: float(vector(limit, key, "", 1, here)[0]) for key in given},
+        limits=limits,
         dynamics={
             key: float(vector(dynamics, key, "0", 1, here)[0]) for key in ("damping", "friction")
         },

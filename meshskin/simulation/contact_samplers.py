@@ -101,7 +101,8 @@ def settled_contacts(recording: Recording) -> Recording:
 
 def concatenate(first: Recording, second: Recording) -> Recording:
     """Two recordings of the same skin as one, the second PRESS_INTERVAL after the first."""
-    shift = float(first.time[-1] - second.time[0]) + PRESS_INTERVAL
+    both = len(first.time) and len(second.time)
+    shift = float(first.time[-1] - second.time[0]) + PRESS_INTERVAL if both else 0.0
 
     def later(table: pa.Table) -> pa.Table:
         times = arrow.column(arrow.values(table.column("time")) + shift)

@@ -13,7 +13,7 @@ from ..core import arrow
 from ..core.arrays import Array
 from ..core.se3 import quaternion
 from ..effects.frames import Frames
-from ..recording.recording import CONTACTS, QUATERNION, READINGS, Recording
+from ..recording.recording import CONTACT_SCHEMA, QUATERNION, READING_SCHEMA, Recording
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
@@ -91,7 +91,7 @@ def sensor_tables(
     """The tables of contacts and readings as they are recorded."""
     recorded = pipeline.record(frames)
     columns = (recorded.time, *recorded.points.T, *recorded.normals.T, recorded.force)
-    contacts = pa.Table.from_arrays([arrow.column(c) for c in columns], schema=CONTACTS)
+    contacts = pa.Table.from_arrays([arrow.column(c) for c in columns], schema=CONTACT_SCHEMA)
     headings = np.zeros((0, 4))
     if len(frames):
         headings = quaternion(scene.body_pose(recorded.q)[:, :3, :3])[:, [3, 0, 1, 2]]
@@ -110,11 +110,13 @@ def sensor_tables(
 
 
 def _readings_schema(ids: Any) -> pa.Schema:
-    """READINGS, with 64-bit taxel ids where 32 bits do not hold them."""
+    """READING_SCHEMA, with 64-bit taxel ids where 32 bits do not hold them."""
     ids, limits = np.asarray(ids), np.iinfo(np.int32)
     if not len(ids) or (limits.min <= ids.min() and ids.max() <= limits.max):
-        return READINGS
-    return READINGS.set(READINGS.get_field_index("taxel"), pa.field("taxel", pa.int64()))
+        return READING_SCHEMA
+    return READING_SCHEMA.set(
+        READING_SCHEMA.get_field_index("taxel"), pa.field("taxel", pa.int64())
+    )
 
 
 def recording_metadata(scene: Scene) -> dict[str, Any]:

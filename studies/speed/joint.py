@@ -57,7 +57,7 @@ def world(
     from meshskin.contact.material import Material
     from meshskin.contact.reading import ReadingModel
     from meshskin.geometry.body import Body
-    from meshskin.recording.recording import CONTACTS, READINGS, Recording
+    from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
     from meshskin.scene.belief import Belief
 
     rng = np.random.default_rng(seed)
@@ -89,8 +89,8 @@ def world(
     press, taxel, value = (np.concatenate(part) for part in zip(*pairs, strict=True))
     time = 0.01 * np.arange(len(contacts))
     recording = Recording(
-        pa.table([time, *hit.point.T, *hit.normal.T, force], schema=CONTACTS),
-        pa.table([time[press], taxel.astype(np.int32), value], schema=READINGS),
+        pa.table([time, *hit.point.T, *hit.normal.T, force], schema=CONTACT_SCHEMA),
+        pa.table([time[press], taxel.astype(np.int32), value], schema=READING_SCHEMA),
         {"taxel_ids": list(range(taxels)), "disc_radius_m": DISC},
     )
     belief = Belief(

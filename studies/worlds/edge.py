@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from meshskin.geometry.body import Body
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 
 from . import sphere
 
@@ -100,8 +100,8 @@ class Edge:
         contacts = [np.ascontiguousarray(x) for x in (time, *points.T, *normals.T, force)]
         readings = [time[contact], taxel.astype(np.int32), reading[contact, taxel]]
         recording = Recording(
-            pa.table(contacts, schema=CONTACTS),
-            pa.table(readings, schema=READINGS),
+            pa.table(contacts, schema=CONTACT_SCHEMA),
+            pa.table(readings, schema=READING_SCHEMA),
             {"taxel_ids": list(range(len(arc))), "disc_radius_m": sphere.DISC_RADIUS},
         )
         return EdgeSample(recording, SILENT * noise, self.at(arc, height)[0])

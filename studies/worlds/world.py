@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from scipy.interpolate import RectBivariateSpline
 
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 
 from . import sphere
 from .electronics import Electronics, Sensors
@@ -127,8 +127,8 @@ def peak(pressures: Pressures) -> float:
 
 def _table(touch: Touch, force: Array, time: Array) -> Recording:
     columns = [time, *touch.points.T, *touch.normals.T, force]
-    contacts = pa.table([np.ascontiguousarray(c) for c in columns], schema=CONTACTS)
-    return Recording(contacts, READINGS.empty_table(), {})
+    contacts = pa.table([np.ascontiguousarray(c) for c in columns], schema=CONTACT_SCHEMA)
+    return Recording(contacts, READING_SCHEMA.empty_table(), {})
 
 
 def _with_readings(recording: Recording, reading: Array, threshold: float) -> Recording:
@@ -136,7 +136,7 @@ def _with_readings(recording: Recording, reading: Array, threshold: float) -> Re
     contact, taxel = np.nonzero(reading > threshold)
     columns = [recording.time[contact], taxel.astype(np.int32), reading[contact, taxel]]
     metadata = {"taxel_ids": list(range(reading.shape[1])), "disc_radius_m": sphere.DISC_RADIUS}
-    return Recording(recording.contacts, pa.table(columns, schema=READINGS), metadata)
+    return Recording(recording.contacts, pa.table(columns, schema=READING_SCHEMA), metadata)
 
 
 @dataclass(frozen=True)

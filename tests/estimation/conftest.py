@@ -19,7 +19,7 @@ from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood
 from meshskin.estimation.joint.readings import Readings
 from meshskin.geometry.primitives import Sphere
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 
 RADIUS, INDENTER, DISC, YOUNG, POISSON, FORCE = 0.1, 0.01, 2e-3, 0.2e6, 0.49, 3.0
 
@@ -100,8 +100,8 @@ class World:
         columns = [time, *self.points.T, *self.normals.T, self.force]
         readings = [time[contact], self.ids[taxel].astype(np.int32), p[contact, taxel]]
         return Recording(
-            pa.table(columns, schema=CONTACTS),
-            pa.table(readings, schema=READINGS),
+            pa.table(columns, schema=CONTACT_SCHEMA),
+            pa.table(readings, schema=READING_SCHEMA),
             {"taxel_ids": self.ids.tolist(), "disc_radius_m": DISC},
         )
 

@@ -16,7 +16,7 @@ from meshskin.estimation.cross_validation import blocks
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.localization import CalibratedSkin
 from meshskin.geometry.body import Body
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 from meshskin.scene.belief import Belief
 
 RADIUS, INDENTER, DISC, FORCE, TAXELS, NOISE = 0.1, 0.01, 2e-3, 3.0, 37, 0.01
@@ -72,10 +72,10 @@ def record(profile=hertz, contacts=400, unit=1.0, lag=0.0):
     contact, taxel = np.nonzero(pressure > 0.03 * PEAK)
     time = 0.01 * np.arange(contacts)
     return Recording(
-        pa.table([time, *points.T, *normals.T, force], schema=CONTACTS),
+        pa.table([time, *points.T, *normals.T, force], schema=CONTACT_SCHEMA),
         pa.table(
             [time[contact], taxel.astype(np.int32), pressure[contact, taxel] / unit],
-            schema=READINGS,
+            schema=READING_SCHEMA,
         ),
         {"taxel_ids": list(range(TAXELS)), "disc_radius_m": DISC},
     )

@@ -14,7 +14,7 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.data.sensor_range import ends_of_range
 from meshskin.geometry.body import Body
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 from meshskin.scene.belief import Belief
 
 RADIUS, INDENTER, DISC, FORCE, TAXELS, COUNT = 0.1, 0.01, 5e-4, 3.0, 19, 400
@@ -58,9 +58,9 @@ def answer(level, force, dense=False, limit=THRESHOLD, **changes):
     time = 0.01 * np.arange(COUNT)
     contact, taxel = np.nonzero(np.full(level.shape, True) if dense else level > limit)
     log = Recording(
-        pa.table([time, *POINTS.T, *(POINTS / RADIUS).T, force], schema=CONTACTS),
+        pa.table([time, *POINTS.T, *(POINTS / RADIUS).T, force], schema=CONTACT_SCHEMA),
         pa.table([time[contact], taxel.astype(np.int32), PEAK * level[contact, taxel]],
-                 schema=READINGS),
+                 schema=READING_SCHEMA),
         {"taxel_ids": list(range(TAXELS)), "disc_radius_m": DISC},
     )  # fmt: skip
     belief = Belief(

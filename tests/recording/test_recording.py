@@ -5,7 +5,7 @@ import pyarrow as pa
 import pytest
 
 from meshskin.core.errors import OutputError, RecordingError, UnknownNameError
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 from meshskin.recording.recording_files import RecordingWriter, part_path
 
 READINGS_CSV = "time,taxel,pressure\n0,1,2\n"
@@ -13,9 +13,10 @@ READINGS_CSV = "time,taxel,pressure\n0,1,2\n"
 
 def tables(times=(0.0, 0.1, 0.2), read=(0.0, 0.2, 0.2)):
     n = len(times)
-    contacts = pa.table([np.array(times), *np.arange(7.0 * n).reshape(7, n)], schema=CONTACTS)
+    contacts = pa.table([np.array(times), *np.arange(7.0 * n).reshape(7, n)], schema=CONTACT_SCHEMA)
     readings = pa.table(
-        [np.array(read), np.arange(len(read), dtype=np.int32), np.ones(len(read))], schema=READINGS
+        [np.array(read), np.arange(len(read), dtype=np.int32), np.ones(len(read))],
+        schema=READING_SCHEMA,
     )
     return contacts, readings
 
@@ -136,6 +137,27 @@ def test_logs_in_csv(tmp_path):
     assert np.array_equal(Recording.load(tmp_path / "arm").points, log.points)
 
 
+@pytest.mark.parametrize("column", ["px_kpa", "force_mm", "time_mpa", "nx_mm", "qw_s"])
+def test_a_column_has_a_unit_of_its_quantity(tmp_path, column):
+    names = {"time": 0.0, "px": 1.0, "py": 2.0, "pz": 3.0, "force": 2.5, "nx": 1.0, "qw": 1.0}
+    names[column] = names.pop(column.partition("_")[0])
+    names["depth_mm"] = 1.0  # of which nothing is read
+    write_log(tmp_path, f"{','.join(names)}\n{','.join(map(str, names.values()))}\n")
+    with pytest.raises(RecordingError, match=f"unknown unit or occurs twice, got {column}"):
+        Recording.load(tmp_path)
+
+
+def test_a_recording_without_contacts():
+    contacts, readings = tables()
+    empty = Recording(contacts[:0], readings, {})
+    assert np.isnan(empty.time_lag).all()
+    assert len(empty.time_lag) == 3
+    with pytest.raises(RecordingError, match="a reading has no contact"):
+        _ = empty.reading_contact
+    with pytest.raises(RecordingError, match="no contacts to draw"):
+        empty.plot()
+
+
 def test_half_a_log_is_named(tmp_path):
     (tmp_path / "contacts.csv").write_text("time,px,py,pz,force\n0,1,2,3,2.5\n")
     with pytest.raises(RecordingError, match=r"readings.csv is missing; put it beside"):
@@ -172,6 +194,7 @@ def test_headers_may_have_blanks_and_capitals(tmp_path):
             "got pressure = -2 in row 0, limit: at least 0",
         ),
         ("time,taxel,pressure\n0,-4,2\n", "taxel .* got taxel = -4 in row 0, limit: at least 0"),
+        ("time,taxel,pressure_mPa\n0,1,2\n", "got pressure_mPa, limit: .*pressure_mpa"),
         ("time,taxel,count_ms\n0,1,2\n", "an unknown unit or occurs twice, got count_ms"),
         ("time,pressure\n0,1\n", "readings.csv lacks taxel, got columns time, pressure; it needs"),
     ],

@@ -386,6 +386,12 @@ def test_unreadable_files_are_refused(tmp_path):
         ("<robot ", "<sdf ", "root element is <sdf>"),
         ('"revolute"', '"planar"', "'turn' is planar"),
         ('lower="-1" upper="1" effort="10"', 'effort="10"', "'turn' has no <limit"),
+        (
+            'lower="-1" upper="1" effort="10"',
+            'lower="1" upper="-1" effort="10"',
+            r"lower limit of joint 'turn' is above the upper one, got 1.0 > -1.0",
+        ),
+        ('name="spin"', 'name="turn"', "two joints have one name, got turn"),
         ('xyz="0.1 0.2 0.3"', 'xyz="0.1 0.2"', r"bad xyz of joint 'turn'"),
         ('effort="10"', 'effort="strong"', r"bad effort of joint 'turn', got 'strong'"),
         ('xyz="1 2 2"', 'xyz="0 0 0"', "zero axis"),

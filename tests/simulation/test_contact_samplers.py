@@ -50,6 +50,8 @@ def test_settled_contacts_need_the_motion():
 def test_concatenated_recordings_are_an_interval_apart():
     twice = concatenate(recorded([1, 2], PHASES), recorded([4, 5], PHASES))
     assert twice.time.tolist() == [1, 2, 2 + PRESS_INTERVAL, 3 + PRESS_INTERVAL]
+    one, none = recorded([4, 5], PHASES), recorded([], PHASES)
+    assert concatenate(none, one).time.tolist() == concatenate(one, none).time.tolist() == [4, 5]
 
 
 @pytest.mark.parametrize("first", [7, 2**31 - 1, 2**40, -(2**33)])

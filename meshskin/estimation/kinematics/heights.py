@@ -20,7 +20,7 @@ from ...contact import BATCHED, ContactModel
 from ...core.arrays import HUBER, Array, huber_weights, robust_sigma, sums_by_group
 from ...core.errors import CalibrationError
 from ...geometry.body import Body
-from ...robot.contact_kinematics import DELAYS, JOINTS, ContactKinematics, JointPath
+from ...robot.contact_kinematics import JOINT_DELAY, JOINT_OFFSET, ContactKinematics, JointPath
 from ...scene.belief import Belief
 from .mesh_error import CELL, MeshError
 
@@ -109,7 +109,7 @@ class Heights:
 
     def _weak(self, jacobian: Array) -> np.ndarray:
         """Entries of x, delays, that change the heights by less than MIN_SCATTER."""
-        delays = np.arange(len(self.precision))[self.model.columns.get(DELAYS, slice(0))]
+        delays = np.arange(len(self.precision))[self.model.columns.get(JOINT_DELAY, slice(0))]
         effect = np.sqrt(np.mean(jacobian[:, delays] ** 2, axis=0) / self.precision[delays])
         return np.asarray(delays[effect < MIN_SCATTER])
 
@@ -209,9 +209,9 @@ def timed_by_the_fastest(
     fastest: delays of the others and of the clock are relative to its stamps, which determine most.
     Unchanged where the joints that are delayed are given."""
     names = model.chain.joint_names
-    if model.delayed is not None or DELAYS not in model.columns or len(names) < 2:
+    if model.delayed is not None or JOINT_DELAY not in model.columns or len(names) < 2:
         return model
-    offsets = replace(model, unknown={JOINTS: 1.0})
+    offsets = replace(model, unknown={JOINT_OFFSET: 1.0})
     centres, slopes = offsets.centres(path, time, np.zeros(len(names)))
     by_joint = np.einsum("mi,mij->mj", body.closest(centres).normal, slopes)
     fastest = int(np.argmax(np.sum((by_joint * path.at(time)[1]) ** 2, axis=0)))

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...geometry.body import Body
-from ...robot.contact_kinematics import DELAYS, JOINTS, ContactKinematics, JointPath
+from ...robot.contact_kinematics import JOINT_DELAY, JOINT_OFFSET, ContactKinematics, JointPath
 from .mesh_error import CELL
 
 SIGNIFICANCE = 1e-3
@@ -64,14 +64,14 @@ def joint_residuals(
     from scipy.special import fdtrc
 
     time = time - kinematics.value("clock_offset", s)
-    names = [name for name in (JOINTS, DELAYS) if name in kinematics.columns]
-    alone = replace(kinematics, unknown={JOINTS: 1.0} | dict.fromkeys(names, 1.0))
+    names = [name for name in (JOINT_OFFSET, JOINT_DELAY) if name in kinematics.columns]
+    alone = replace(kinematics, unknown={JOINT_OFFSET: 1.0} | dict.fromkeys(names, 1.0))
     known = np.zeros(len(alone.labels))
     for name in names:
         known[alone.columns[name]] = s[kinematics.columns[name]]
     centres, slopes = alone.centres(path, time, known)
     hit = body.closest(centres)
-    by_joint = np.einsum("mi,mij->mj", hit.normal, slopes[:, :, alone.columns[JOINTS]])
+    by_joint = np.einsum("mi,mij->mj", hit.normal, slopes[:, :, alone.columns[JOINT_OFFSET]])
     angles, total = path.at(time, alone.delays(known))[0], max(float(r @ r), 1e-24)
     found, rests = [], [r]
     for k, name in enumerate(alone.chain.joint_names):

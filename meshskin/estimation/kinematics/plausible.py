@@ -16,7 +16,7 @@ import numpy as np
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ...geometry.body import Body
-from ...robot.contact_kinematics import DELAYS, ContactKinematics, JointPath
+from ...robot.contact_kinematics import JOINT_DELAY, ContactKinematics, JointPath
 
 SAMPLES = 100
 """Contacts, evenly chosen, that are tried: enough for a median."""
@@ -52,7 +52,7 @@ def check_on_body(
 
     centres, slopes = model.centres(JointPath(some, angles), some, s)
     by_unknown = np.einsum("mi,mik->mk", body.closest(centres).normal, slopes) * model.sigma
-    timed = [model.columns[name] for name in (DELAYS, "clock_offset") if name in model.columns]
+    timed = [model.columns[name] for name in (JOINT_DELAY, "clock_offset") if name in model.columns]
     for columns in timed:  # these move contacts by little; with angles in degrees by much
         by_unknown[:, columns] = 0.0
     expected = float(np.sqrt(np.mean(np.sum(by_unknown**2, axis=1))))

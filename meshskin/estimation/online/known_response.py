@@ -18,7 +18,7 @@ import pyarrow as pa
 from ...contact import LEARNED
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
-from ...recording.recording import CONTACTS, READINGS, Recording
+from ...recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 from ...scene.belief import Belief
 from ..calibration import Calibration
 from ..cross_validation import recorded_belief
@@ -163,11 +163,11 @@ def _recording(data: Measurements, rows: np.ndarray, metadata: Mapping[str, Any]
     read = np.flatnonzero(np.isin(contact, rows))
     read = read[np.argsort(contact[read], kind="stable")]
     ids = data.ids[taxel[read]]
-    schema = READINGS.set(1, pa.field("taxel", pa.from_numpy_dtype(ids.dtype)))
+    schema = READING_SCHEMA.set(1, pa.field("taxel", pa.from_numpy_dtype(ids.dtype)))
     readings = [data.time[contact[read]], ids, pressure[read]]
     kept = {name: metadata[name] for name in ("force", "unreachable") if name in metadata}
     return Recording(
-        pa.table(columns, schema=CONTACTS),
+        pa.table(columns, schema=CONTACT_SCHEMA),
         pa.table(readings, schema=schema),
         {"taxel_ids": data.ids.tolist(), **kept},
     )

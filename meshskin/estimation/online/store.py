@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from ...contact import Patches
 from ...core.arrays import Array
-from ...recording.recording import CONTACTS, QUATERNION, READINGS
+from ...recording.recording import CONTACT_SCHEMA, QUATERNION, READING_SCHEMA
 from ..data.measurements import Measurements
 from ..data.patch_shape import ALIKE, alike_contacts
 
@@ -143,7 +143,8 @@ class ContactStore:
         if not (np.diff(time) > 0).all():  # of several recordings
             time = period * np.arange(self.count)
         table = pa.table(
-            [time, *columns["points"].T, *columns["normals"].T, columns["force"]], schema=CONTACTS
+            [time, *columns["points"].T, *columns["normals"].T, columns["force"]],
+            schema=CONTACT_SCHEMA,
         )
         if "headings" in columns:
             from scipy.spatial.transform import Rotation
@@ -153,7 +154,7 @@ class ContactStore:
                 table = table.append_column(name, pa.array(values))
         taxel = ids[self.taxel.values].astype(np.int32)
         readings = [time[self.contact.values], taxel, self.pressure.values]
-        return table, pa.table(readings, schema=READINGS)
+        return table, pa.table(readings, schema=READING_SCHEMA)
 
     def near(self, points: Array, radius: float) -> np.ndarray:
         """Contacts, rising, within `radius`, m, of any of the points (p, 3)."""

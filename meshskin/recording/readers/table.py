@@ -19,6 +19,7 @@ import pyarrow as pa
 from ...core.errors import RecordingError, UnknownNameError
 from ..log_map import TIME_UNITS, StreamMap
 from ..message_types import MIN_TAXELS
+from ..recording import QUATERNION
 from ..stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, contact_fields
 from .contact_columns import contact_columns
 
@@ -37,8 +38,6 @@ OTHER_NAMES = ("qd", "dq", "qdd", "velocity", "velocities", "vel", "acceleration
 """Words of the names of columns that are neither joint angles nor taxels."""
 FORCES, TORQUES = ("fx", "fy", "fz"), ("tx", "ty", "tz")
 """Names of the columns of a wrench."""
-QUATERNION = ("qx", "qy", "qz", "qw")
-"""Names of columns beside which those of TORQUES are the translation of a pose."""
 STEPS = (1e-4, 5.0)
 """Median times, s, from one row to the next that streams of a robot have: force sensors have 7 kHz
 at most, and a touch of some seconds has some rows."""
@@ -149,6 +148,7 @@ def _groups(names: list[str]) -> dict[str, list[str]]:
     if contacts := contact_columns(names)[0]:
         groups[CONTACTS] = contacts
     if set(FORCES) <= set(names) - set(contacts):
+        # beside a quaternion these are the translation of a pose
         torques = set(TORQUES) <= set(names) and not set(QUATERNION) <= set(names)
         groups[WRENCH] = [*FORCES, *(TORQUES if torques else ())]
     known = {*groups, *(name for columns in groups.values() for name in columns)}

@@ -9,7 +9,7 @@ import pytest
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.data.corrupt_readings import spikes, stuck_readings
 from meshskin.estimation.data.gather import gather
-from meshskin.recording.recording import READINGS, Recording
+from meshskin.recording.recording import READING_SCHEMA, Recording
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_a_stretch_of_one_value_over_the_skin_is_left_out(world, recording, soun
     pressure = np.concatenate([recording.pressure[other], level])
     order = np.argsort(contact, kind="stable")
     columns = [recording.time[contact], taxel.astype(np.int32), pressure]
-    table = pa.table([c[order] for c in columns], schema=READINGS)
+    table = pa.table([c[order] for c in columns], schema=READING_SCHEMA)
     found = calibrate(replace(recording, readings=table), belief)
     moved = np.linalg.norm(found.positions - sound.positions, axis=1)
     assert np.all(moved < np.where(sound.ids == k, 4.0, 0.5) * sound.position_sigma)
@@ -77,7 +77,7 @@ def counted(world, recording, rows, values=lambda counts: counts):
     contacts = recording.contacts.take(rows).set_column(0, "time", pa.array(time))
     contact, taxel = (index.ravel() for index in np.indices(counts.shape))
     columns = [time[contact], world.ids[taxel].astype(np.int32), unit * counts.ravel()]
-    return Recording(contacts, pa.table(columns, schema=READINGS), {})
+    return Recording(contacts, pa.table(columns, schema=READING_SCHEMA), {})
 
 
 def corrupt(world, recording):
@@ -125,7 +125,7 @@ def with_readings(recording, contact, taxel, pressure):
     pressure = np.concatenate([recording.pressure, pressure])
     order = np.argsort(contact, kind="stable")
     columns = [recording.time[contact], taxel, pressure]
-    table = pa.table([c[order] for c in columns], schema=READINGS)
+    table = pa.table([c[order] for c in columns], schema=READING_SCHEMA)
     return replace(recording, readings=table)
 
 

@@ -12,7 +12,7 @@ import meshskin as ms
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.learned.estimate import with_learned_response
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 
 RADIUS, INDENTER, DISC, STIFFNESS, FORCE = 0.03, 0.01, 2e-3, 6e7, 3.0
 PITCH = 5e-3
@@ -62,7 +62,9 @@ def recording(seed=0, line=4e-3, step=1.5e-3, kept=0.0):
     columns = [np.ascontiguousarray(x) for x in (time, *points.T, *normals.T, force)]
     readings = [time[contact], taxel.astype(np.int32), pressure[contact, taxel]]
     facts = {"taxel_ids": list(range(len(TRUTH))), "disc_radius_m": DISC}
-    return Recording(pa.table(columns, schema=CONTACTS), pa.table(readings, schema=READINGS), facts)
+    return Recording(
+        pa.table(columns, schema=CONTACT_SCHEMA), pa.table(readings, schema=READING_SCHEMA), facts
+    )
 
 
 def belief(**changes):

@@ -22,7 +22,7 @@ from meshskin.estimation.online.frames import RecordedFrames
 from meshskin.estimation.online.known_response import KnownResponse
 from meshskin.estimation.trilateration.trilaterate import with_noise_off_edges
 from meshskin.geometry.region import Cap
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 
 FACES, APOTHEM, INDENTER, DISC, STIFFNESS, FORCE, PITCH = 6, 0.04, 6e-3, 2e-3, 3e8, 2.0, 5e-3
 WIDTH = 2 * APOTHEM * np.tan(np.pi / FACES)
@@ -83,7 +83,9 @@ def recording(seed=0, count=150, noise=0.01):
     columns = [np.ascontiguousarray(x) for x in (time, *points.T, *normals.T, force)]
     readings = [time[contact], taxel.astype(np.int32), STIFFNESS * reading[contact, taxel]]
     facts = {"taxel_ids": list(range(len(ARC))), "disc_radius_m": DISC}
-    return Recording(pa.table(columns, schema=CONTACTS), pa.table(readings, schema=READINGS), facts)
+    return Recording(
+        pa.table(columns, schema=CONTACT_SCHEMA), pa.table(readings, schema=READING_SCHEMA), facts
+    )
 
 
 @pytest.fixture(scope="module")

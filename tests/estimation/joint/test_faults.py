@@ -16,7 +16,7 @@ from meshskin.estimation.joint import fault_detection, outlier_rejection
 from meshskin.estimation.joint.pressure import CENSORED, OBSERVED
 from meshskin.estimation.joint.readings import Readings
 from meshskin.estimation.uncertainty.metrics import nees, position_errors
-from meshskin.recording.recording import READINGS, Recording
+from meshskin.recording.recording import READING_SCHEMA, Recording
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_a_stuck_taxel(world, clean):
     constant = np.full(len(time), 0.4 * world.peak_reference)
     ids = np.full(len(time), world.ids[7], dtype=np.int32)
     kept = recording.readings.filter(pa.array(recording.reading_taxel != world.ids[7]))
-    table = pa.concat_tables([kept, pa.table([time, ids, constant], schema=READINGS)])
+    table = pa.concat_tables([kept, pa.table([time, ids, constant], schema=READING_SCHEMA)])
     found = calibrate(Recording(recording.contacts, table, recording.metadata), belief)
     assert found.faults[7].startswith("stuck at 31.")
     assert not found.observed[7].any()
@@ -88,7 +88,7 @@ def test_a_taxel_stuck_on_a_small_skin(world):
     time = recording.time[small]
     others = small[recording.reading_contact] & (recording.reading_taxel != id_)
     constant = np.full(len(time), 0.5 * world.peak_reference)
-    spoilt = pa.table([time, np.full(len(time), id_, np.int32), constant], schema=READINGS)
+    spoilt = pa.table([time, np.full(len(time), id_, np.int32), constant], schema=READING_SCHEMA)
     table = pa.concat_tables([recording.readings.filter(pa.array(others)), spoilt])
     bent = Recording(recording.contacts, table, recording.metadata)
     assert list(fault_detection.stuck_taxels(gather(bent, world.belief(0.01, 0.05))).rows) == [7]
@@ -149,7 +149,7 @@ def test_drifting_taxels_with_most_readings_are_the_faulty_ones(world, clean):
         pressure = drift.copy()
         pressure[recording.reading_contact[mine]] += recording.pressure[mine]
         ids = np.full(len(time), world.ids[k], dtype=np.int32)
-        parts.append(pa.table([time, ids, pressure], schema=READINGS))
+        parts.append(pa.table([time, ids, pressure], schema=READING_SCHEMA))
     found = calibrate(Recording(recording.contacts, pa.concat_tables(parts), {}), belief)
     assert np.array_equal(np.flatnonzero(found.faults != ""), warm)
     assert others(position_errors(found, world.skin), warm, reference) < 1.05

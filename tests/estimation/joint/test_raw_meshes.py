@@ -14,7 +14,7 @@ from meshskin.contact.indenter import Indenter
 from meshskin.contact.material import Material
 from meshskin.estimation.calibrate import calibrate
 from meshskin.geometry.body import Body
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 from meshskin.scene.belief import Belief
 
 INDENTER, DISC, STIFFNESS, FORCE, NODES, TAXELS = 10.0, 2.0, 0.1, 2.0, 64, 50
@@ -67,8 +67,8 @@ def pressed(axes, subdivisions, seed, contacts):
     columns = [time, *(1e-3 * touched).T, *outward.T, force]
     readings = [time[contact], taxel.astype(np.int32), 1000 * reading[contact, taxel]]
     log = Recording(
-        pa.table([np.ascontiguousarray(c) for c in columns], schema=CONTACTS),
-        pa.table(readings, schema=READINGS),
+        pa.table([np.ascontiguousarray(c) for c in columns], schema=CONTACT_SCHEMA),
+        pa.table(readings, schema=READING_SCHEMA),
         {"taxel_ids": list(range(TAXELS)), "disc_radius_m": 1e-3 * DISC},
     )
     body = Body.from_mesh(trimesh.Trimesh(1e-3 * mesh.vertices, mesh.faces, process=False))

@@ -11,7 +11,7 @@ from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, nees_band, position_errors
 from meshskin.geometry.primitives import Ellipsoid
-from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 
 
 def record(world, gain=1.0, offset=0.0, force=None, points=None, seed=0, ceiling=np.inf):
@@ -28,7 +28,9 @@ def record(world, gain=1.0, offset=0.0, force=None, points=None, seed=0, ceiling
     force = world.force if force is None else force
     columns = [time, *points.T, *world.normals.T, force]
     readings = [time[contact], world.ids[taxel].astype(np.int32), p[contact, taxel]]
-    return Recording(pa.table(columns, schema=CONTACTS), pa.table(readings, schema=READINGS), {})
+    return Recording(
+        pa.table(columns, schema=CONTACT_SCHEMA), pa.table(readings, schema=READING_SCHEMA), {}
+    )
 
 
 def check(world, recording, belief):

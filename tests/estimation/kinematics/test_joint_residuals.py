@@ -5,7 +5,7 @@ import pytest
 
 from meshskin import Body, Robot
 from meshskin.estimation.kinematics.joint_residuals import SIGNIFICANCE, joint_residuals
-from meshskin.robot.contact_kinematics import JOINTS, JointPath
+from meshskin.robot.contact_kinematics import JOINT_OFFSET, JointPath
 from meshskin.scene import shipped_scenes
 
 
@@ -13,7 +13,7 @@ from meshskin.scene import shipped_scenes
 def setting():
     """The Puma with a sphere on its flange, a path, and d height / d joint (m, 6)."""
     robot = Robot.from_urdf(shipped_scenes.folder() / "puma560.urdf")
-    kinematics = robot.contact_kinematics("tool0", (0.4, -0.4, 0.7), unknown={JOINTS: 0.02})
+    kinematics = robot.contact_kinematics("tool0", (0.4, -0.4, 0.7), unknown={JOINT_OFFSET: 0.02})
     rng, time = np.random.default_rng(1), np.linspace(0, 40, 800)
     knots = rng.uniform(-0.6, 0.6, (9, 6))
     angles = np.stack([np.interp(time, np.linspace(0, 40, 9), k) for k in knots.T], axis=1)

@@ -25,7 +25,7 @@ from meshskin.estimation.learned.estimate import with_learned_response
 from meshskin.estimation.recalibrate.touch_design import next_touches
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Cap
-from meshskin.recording.recording import CONTACTS, NOMINAL, READINGS, Recording
+from meshskin.recording.recording import CONTACT_SCHEMA, NOMINAL, READING_SCHEMA, Recording
 from meshskin.scene.belief import Belief
 from meshskin.scene.scene import Scene
 from meshskin.simulation.static_contacts import press
@@ -100,8 +100,8 @@ def recording(points, force, contact, taxel, pressure):
     time = 0.01 * np.arange(len(points))
     normals = points / RADIUS
     return Recording(
-        pa.table([time, *points.T, *normals.T, force], schema=CONTACTS),
-        pa.table([time[contact], taxel.astype(np.int32), pressure], schema=READINGS),
+        pa.table([time, *points.T, *normals.T, force], schema=CONTACT_SCHEMA),
+        pa.table([time[contact], taxel.astype(np.int32), pressure], schema=READING_SCHEMA),
         {"taxel_ids": list(range(TAXELS)), "disc_radius_m": DISC},
     )
 

@@ -12,7 +12,7 @@ import meshskin as ms
 from meshskin.core import se3
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation import chart
-from meshskin.recording.recording import CONTACTS, READINGS
+from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA
 from meshskin.skin import slots
 
 RADIUS, INDENTER, DISC, FORCE, WIDTH = 0.1, 0.01, 2e-3, 3.0, 2.2e-3
@@ -70,8 +70,10 @@ def calibrated(seed=0, scatter=0.0, layout=slots.OFFSETS, dead=(), swapped=()):
     ids = (12 * np.arange(COUNT)[:, None] + TAXELS).ravel()
     time = 0.01 * np.arange(len(points))
     recording = ms.Recording(
-        pa.table([time, *points.T, *points.T / RADIUS, force], schema=CONTACTS),
-        pa.table([time[contact], ids[row].astype(np.int32), counts[contact, row]], schema=READINGS),
+        pa.table([time, *points.T, *points.T / RADIUS, force], schema=CONTACT_SCHEMA),
+        pa.table(
+            [time[contact], ids[row].astype(np.int32), counts[contact, row]], schema=READING_SCHEMA
+        ),
         {"readings": "raw"},
     )
     belief = ms.Belief(
