@@ -63,7 +63,7 @@ class Cap:
     """largest angle, in rad"""
 
     def __post_init__(self) -> None:
-        check_real("angle of a cap", self.angle, "rad", above=0.0, most=np.pi, error=SkinError)
+        check_real("cap.angle", self.angle, "rad", above=0.0, most=np.pi)
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points within the angle."""
@@ -86,7 +86,7 @@ class Disc:
     """geodesic radius, m"""
 
     def __post_init__(self) -> None:
-        check_real("radius of a disc", self.radius, "m", above=0.0, error=SkinError)
+        check_real("disc.radius", self.radius, "m", above=0.0)
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points within the radius."""

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import meshskin as ms
-from meshskin.core.errors import ConfigError, SkinError, UnknownNameError
+from meshskin.core.errors import ConfigError, UnknownNameError
 from meshskin.geometry.region import Cap
 
 
@@ -107,5 +107,5 @@ def test_the_angle_of_a_skin_needs_a_direction(tmp_path):
 
 
 def test_a_cap_has_an_angle_in_radians():
-    with pytest.raises(SkinError, match=r"got 30 rad, limit: at most 3\.14"):
+    with pytest.raises(ConfigError, match=r"got 30 rad, limit: at most 3\.14"):
         Cap((0.0, 0.0, 1.0), 30.0)

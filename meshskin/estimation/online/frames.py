@@ -4,6 +4,7 @@ measurements of new contacts."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -143,7 +144,7 @@ def checked_belief(belief: Belief, previous: Calibration | None) -> Belief:
 
 def without_contacts(belief: Belief, frames: ContactFrames) -> Measurements:
     """Measurements without contacts, with the reference force, the contact model and the nominal
-    noise that the first `frames` show where the belief leaves them open.
+    noise that `frames` show where the belief leaves them open.
 
     Raises CalibrationError for frames far from the body, ContactError where no model holds.
     """
@@ -176,16 +177,27 @@ def without_contacts(belief: Belief, frames: ContactFrames) -> Measurements:
     )
 
 
+class Validity(NamedTuple):
+    """Which of B frames are contacts that count."""
+
+    valid: np.ndarray
+    """(B,) bool."""
+    outside: np.ndarray
+    """(B,) bool: on the body, but outside the range of the contact model."""
+
+
 def contacts_of(
-    template: Measurements, frames: ContactFrames, pressed: np.ndarray
-) -> tuple[Measurements, np.ndarray]:
+    template: Measurements, frames: ContactFrames, pressed: np.ndarray, first: int
+) -> tuple[Measurements, Validity]:
     """The contacts of the frames `pressed` (B,) bool that are on the body and in the range of the
-    contact model, and which (B,) bool of the frames these are; `template`: all else."""
+    contact model, and which of the frames these are; `template`: all else; first: number of the
+    first frame."""
     belief, model = template.belief, template.model
     hit = belief.body.closest(np.where(pressed[:, None], frames.points, 0.0))
-    valid = pressed & (np.abs(hit.distance) < unit_checks.MAX_DISTANCE)
+    on_body = pressed & (np.abs(hit.distance) < unit_checks.MAX_DISTANCE)
+    valid = on_body
     if not template.learned:  # a learned response needs no valid model
-        valid &= model.is_valid(
+        valid = on_body & model.is_valid(
             force=np.where(pressed, frames.force, 1.0),
             curvature=hit.curvature,
             indenter_radius=belief.indenter.radius,
@@ -202,10 +214,11 @@ def contacts_of(
         force=kept.force,
         unevenness=over_edges(belief, hit, kept.force, template.edge_error),
         time=np.zeros(len(kept)) if kept.time is None else kept.time,
+        recorded=first + np.flatnonzero(valid),
         patches=nominal_patches(model, belief, kept.force, hit.curvature),
         headings=headings,
         contact_errors=None if template.contact_errors is None else _errors(kept),
-    ), valid
+    ), Validity(valid, on_body & ~valid)
 
 
 def _errors(frames: ContactFrames) -> Array:

@@ -25,11 +25,7 @@ class TaxelInformation:
         q, ks = len(parameters.nuisance_names), len(parameters.sigma)
         self.size = 2 + q
         self.weight = parameters.sigma**-2
-        sigma = [
-            s / (1.0 if name == "gain" else unit)
-            for name, s in zip(parameters.nuisance_names, parameters.nuisance_sigma, strict=True)
-        ]
-        self.prior = np.concatenate([np.zeros(2), np.array(sigma) ** -2.0])
+        self.prior = _precisions(parameters, unit)
         """Prior precisions (D,) of a taxel's own unknowns, which the normal equations hold."""
         self.charts = Charts(*(np.zeros((n, *s)) for s in ((3,), (3,), (3, 2), (2, 2))))
         self.nuisance, self.shared = np.zeros((n, q)), np.zeros((n, ks))
@@ -110,6 +106,16 @@ class TaxelInformation:
         self._eliminate(np.flatnonzero(self.placed))
         self.solve()
 
+    def take_priors(self, parameters: GlobalParameters, unit: float) -> None:
+        """Take the priors of `parameters`; unit: standard deviation, Pa, of a reading."""
+        prior, own = _precisions(parameters, unit), np.arange(self.size)
+        change = prior - self.prior
+        self.hessian[:, own, own] += change
+        self.gradient[:, 2 : self.size] += change[2:] * self.nuisance
+        self.prior, self.weight = prior, parameters.sigma**-2
+        self._eliminate(np.flatnonzero(self.placed))
+        self.solve()
+
     def _eliminate(self, rows: np.ndarray) -> None:
         d, h = self.size, self.hessian[rows]
         own = h[:, :d, :d]
@@ -156,3 +162,12 @@ class TaxelInformation:
         if self._gain is not None and self.counted.any():
             gains = self._gains[self.counted].mean(axis=0)
         return self._bare[self.counted].sum(axis=0), gains
+
+
+def _precisions(parameters: GlobalParameters, unit: float) -> Array:
+    """Prior precisions (D,) of a taxel's own unknowns; unit: as `TaxelInformation`."""
+    sigma = [
+        s / (1.0 if name == "gain" else unit)
+        for name, s in zip(parameters.nuisance_names, parameters.nuisance_sigma, strict=True)
+    ]
+    return np.concatenate([np.zeros(2), np.array(sigma) ** -2.0])

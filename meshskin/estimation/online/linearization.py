@@ -33,6 +33,10 @@ NEWTON_TOLERANCE = 1e-6
 MAX_DECREMENT = 1e-3
 """Newton decrement from which a taxel waits for more steps: 0.045 standard deviations, a step that
 the linearization bears."""
+MAX_RESIDUAL = faults.CUTOFF
+"""Residual, in standard deviations of noise and estimate, from which a new reading is left out."""
+MIN_CONTRADICTIONS = 3
+"""Outlying readings of a contact, and more than half of its readings, from which it is rejected."""
 KNOWN = 1e18
 """Information that stands for a known global parameter: 1e-9 of any unit."""
 
@@ -88,6 +92,17 @@ def new_readings(
     )
     rate, curvature = rate * found.precision, curvature * found.precision
     return NewReadings(own, found.contact, jacobian, rate, curvature, residual, clear)
+
+
+def contradictions(
+    new: NewReadings, sure: np.ndarray, m: int, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which readings (k,) are outlying, and which of the m contacts are rejected: most of their
+    readings by taxels that are `sure` (k,) bool are. scale: as `advance`."""
+    beyond = np.abs(new.residual) > MAX_RESIDUAL * scale
+    count = np.bincount(new.contact, sure, m)
+    contradicting = np.bincount(new.contact, beyond & sure, m)
+    return beyond, (contradicting >= MIN_CONTRADICTIONS) & (2 * contradicting > count)
 
 
 @dataclass(frozen=True)

@@ -22,13 +22,13 @@ from .frames import (
     ContactFrames,
     RecordedFrames,
     checked_belief,
-    contacts_of,
     sparse,
-    without_contacts,
 )
+from .intake import SETTLED_CHANGE, Intake
 from .next_touch import NextTouch, next_touch
 from .running_estimate import RunningEstimate
 from .running_noise import RunningNoise
+from .settling import settle
 from .status import Judge, OnlineStatus
 
 PERIOD = 0.02
@@ -101,9 +101,9 @@ class OnlineCalibration:
         self.frames = 0
         self.status: OnlineStatus | None = None
         """Status after the last update; None before the first."""
-        self._rejected = 0
         self.estimate: RunningEstimate | None = None
         """The running estimate; None before the first contact."""
+        self._intake = Intake(self.belief)
         self._judge = Judge(self.ids, previous, reachable, self.target)
         self._noise = RunningNoise(self.belief.noise_sigma is not None)
         self._next: NextTouch | None = None
@@ -139,15 +139,21 @@ class OnlineCalibration:
     def update_recording(self, recording: Recording) -> OnlineStatus:
         """Add the contacts of a recording, or of a part of one, with their readings."""
         parts = RecordedFrames(recording, self.ids)
+        if self.estimate is None:
+            self.estimate = self._intake.start(ContactFrames(recording.points, recording.force))
         for begin in range(0, len(recording.time), FRAMES):
             self._take(*parts.part(begin, begin + FRAMES))
+        if self.estimate is not None:
+            self._intake.look(self.estimate)
         return self._tell()
 
     def settle(self) -> OnlineStatus:
         """Estimate anew all taxels that wait for it, in a time that is not bounded."""
         self._started.complete()
-        self._started.settle()
+        self._intake.look(self._started, SETTLED_CHANGE)
+        settle(self._started)
         self._noise.settle(self._started)
+        self._judge.look(self._started, self._intake.rejected)
         return self._tell()
 
     @property
@@ -215,30 +221,14 @@ class OnlineCalibration:
 
     def _take(self, frames: ContactFrames, values: Array) -> None:
         """Add at most FRAMES frames, and do the work that is due; values (B, n): readings, Pa."""
-        completed = self._complete()
-        self._add(frames, *sparse(values, self.belief.threshold))
-        self._advance(len(frames), completed)
-
-    def _add(
-        self, frames: ContactFrames, frame: np.ndarray, taxel: np.ndarray, pressure: Array
-    ) -> None:
-        """Add the frames that are valid contacts, with readings of frame, taxel, pressure (k,)."""
+        completed, number = self._complete(), self.frames
         if frames.time is None:
-            times = np.arange(self.frames, self.frames + len(frames), dtype=float)
+            times = np.arange(number, number + len(frames), dtype=float)
             frames = replace(frames, time=PERIOD * times)
         self.frames += len(frames)
-        pressed = frames.force != 0
-        finite = np.isfinite(frames.points).all(axis=1) & (frames.force > 0)
-        if self.estimate is None and finite.any():
-            self.estimate = RunningEstimate(without_contacts(self.belief, frames.take(finite)))
-        if self.estimate is None:
-            self._rejected += int(np.sum(pressed))
-            return
-        block, valid = contacts_of(self.estimate.store.template, frames, finite)
-        self._rejected += int(np.sum(pressed & ~valid))
-        if valid.any():
-            row, read = np.cumsum(valid) - 1, valid[frame]
-            self.estimate.add(block, (row[frame[read]], taxel[read], pressure[read]))
+        readings = sparse(values, self.belief.threshold)
+        self.estimate = self._intake.take(self.estimate, frames, number, readings)
+        self._advance(len(frames), completed)
 
     def _complete(self) -> bool:
         """Complete the estimate that the last frame began; whether there was one."""
@@ -264,7 +254,7 @@ class OnlineCalibration:
                 estimate.examine(1)
             else:
                 estimate.begin(estimate.waiting()[:ANEW])
-        self._judge.look(estimate, self._rejected)
+        self._judge.look(estimate, self._intake.rejected)
 
     @property
     def _started(self) -> RunningEstimate:
@@ -299,8 +289,9 @@ class OnlineCalibration:
 
     def _tell(self) -> OnlineStatus:
         n = len(self.ids)
+        rejected = self._intake.rejected.total()
         if self.estimate is None:
-            self.status = OnlineStatus(rejected=self._rejected, unseen=n, why="no contact so far")
+            self.status = OnlineStatus(rejected=rejected, unseen=n, why="no contact so far")
             return self.status
         estimate, info = self.estimate, self.estimate.information
         determined, sigma = estimate.determined, self.position_sigma
@@ -310,7 +301,7 @@ class OnlineCalibration:
         verdict, why = self._judge.verdict(sigma, seen)
         self.status = OnlineStatus(
             used=estimate.store.count - contradicting,
-            rejected=self._rejected + contradicting,
+            rejected=rejected + contradicting,
             outlying=int(estimate.outlying.sum()),
             determined=int(determined.sum()),
             weak=int(np.sum(seen & ~determined)),

@@ -18,13 +18,12 @@ from ...core.arrays import Array
 from .. import chart
 from ..data.measurements import Measurements
 from ..data.pairs import MAX_SLANT, REACH_MARGIN
-from ..joint import fault_detection as faults
 from ..joint.contacts import LinearizedContacts
 from ..joint.joint_estimator import JointEstimator
-from ..joint.rival_optima import DIRECTIONS, OPEN_SECTOR, finish, open_sectors
+from ..joint.rival_optima import OPEN_SECTOR, finish, open_sectors
 from . import basins
 from .information import TaxelInformation
-from .linearization import advance, local_estimator, new_readings, search, summary
+from .linearization import advance, contradictions, local_estimator, new_readings, summary
 from .store import ContactStore, Part
 
 TOLERANCE = 0.001
@@ -32,8 +31,6 @@ TOLERANCE = 0.001
 deviations, from which it is estimated anew. A move of 0.003 leaves an estimate up to 0.013 of its
 standard deviation from the batch estimate, one of 0.001 up to 0.004, in the same time a frame
 (studies/speed/online.py)."""
-SETTLED = 0.0003
-"""TOLERANCE of `settle`, which is not pressed for time: 0.001 of a standard deviation."""
 MAX_MOVE = 0.5
 """Move up to which a linear estimate is believed until then; `SurfaceParametrization.step`."""
 THRESHOLD_STEP = 0.05
@@ -43,18 +40,12 @@ MIN_READINGS = 3
 """Readings from which a taxel is placed: three circles have one point in common."""
 GROWTH = 1.25
 """Growth of the number of readings from one attempt to place or examine a taxel to the next."""
-MAX_RESIDUAL = faults.CUTOFF
-"""Residual, in standard deviations of noise and estimate, from which a new reading is left out."""
-MIN_CONTRADICTIONS = 3
-"""Outlying readings of a contact, and more than half of its readings, from which it is rejected."""
 MEASURED = 20
 """Contacts after which their sizes are measured again: the global parameters change slowly."""
 CHUNK = 256
 """Taxels estimated anew at once, at most: bounds the memory."""
 EXAMINED = 2
 """Taxels examined at once: some 33 parts of 4 ms (studies/speed/online.py)."""
-MAX_ROUNDS = 8
-"""Rounds of `settle`; three are usual."""
 
 
 class RunningEstimate:
@@ -145,7 +136,7 @@ class RunningEstimate:
         taxel = readings[1]
         self.last_read[taxel] = self.store.count
         self._measure(block)
-        rows = self._near(block.points, taxel)
+        rows = self.near(block.points, taxel)
         if not len(rows):
             return
         info = self.information
@@ -156,11 +147,8 @@ class RunningEstimate:
         )  # fmt: skip
         if new.clear.any():
             self.residual = float(np.sqrt(np.mean(new.residual[new.clear] ** 2)))
-        beyond, m = np.abs(new.residual) > MAX_RESIDUAL * self.scale, len(block.force)
         sure = self.fits[rows[new.taxel]]  # taxels on their way contradict whatever comes
-        count = np.bincount(new.contact, sure, m)
-        contradicting = np.bincount(new.contact, beyond & sure, m)
-        rejected = (contradicting >= MIN_CONTRADICTIONS) & (2 * contradicting > count)
+        beyond, rejected = contradictions(new, sure, len(block.force), self.scale)
         self.store.misfitting.values[first:] = rejected
         used = ~rejected[new.contact]
         owner = rows[new.taxel]
@@ -171,6 +159,20 @@ class RunningEstimate:
         info.add(owner[used], new.jacobian[used], new.rate[used], new.curvature[used])
         np.add.at(self.square, owner[used & new.clear], new.residual[used & new.clear] ** 2)
         np.add.at(self.freedom, owner[used & new.clear], 1.0)
+
+    def refer(self, template: Measurements) -> None:
+        """Take another noise, contact model or other priors; all taxels wait."""
+        ratio, info = self.sigma / template.sigma, self.information
+        self.store.refer(template)
+        if self._known is None:
+            self.parameters = template.parameters
+        info.rescale(ratio)
+        info.take_priors(self.parameters, template.sigma)
+        self.sigma, self.square = template.sigma, self.square * ratio**2
+        first, second = (self.store.patches[name].values for name in ("first", "second"))
+        self.radius = float(np.median(np.sqrt(first * second)))
+        self._measure_at = 0
+        self.linearized_threshold[:] = np.inf
 
     def solve(self) -> None:
         """Bring estimates and moves up to date."""
@@ -212,7 +214,7 @@ class RunningEstimate:
         if self._begun is None:
             return False
         (rows, estimator, part), self._begun = self._begun, None
-        self._take(rows, estimator, advance(estimator, self.scale), part)
+        self.take(rows, estimator, advance(estimator, self.scale), part)
         return True
 
     def estimator(self, rows: np.ndarray) -> tuple[JointEstimator, Part]:
@@ -230,7 +232,7 @@ class RunningEstimate:
         found = local_estimator(part.data, weight, start, rotations, nuisance, self.s)
         return found, part
 
-    def _take(
+    def take(
         self, rows: np.ndarray, estimator: JointEstimator, misfits: np.ndarray, part: Part
     ) -> None:
         """Keep the estimate of the taxels `rows`."""
@@ -269,6 +271,13 @@ class RunningEstimate:
             elif next(self._examination, self) is self:
                 self._examination = None
 
+    def examine_all(self, count: int) -> bool:
+        """Examine all that was not, `count` taxels at once; whether there were any."""
+        self._examination, rows = None, self.unexamined(growth=1.0)
+        for begin in range(0, len(rows), count):
+            finish(self._look_elsewhere(rows[begin : begin + count]))
+        return len(rows) > 0
+
     def _look_elsewhere(self, rows: np.ndarray) -> Generator[None, None, None]:
         self.begin(rows)  # sectors are those of then, and the estimate is to be the optimum
         yield
@@ -302,30 +311,11 @@ class RunningEstimate:
         self.estimate_anew(rows)
         self.examined[rows] = 0
 
-    def settle(self) -> None:
-        """Estimate anew all that waits, as the batch estimate does, outlying readings and all, and
-        examine what was not, until nothing moves."""
-        for _ in range(MAX_ROUNDS):
-            counts = self.store.counts
-            lost = (counts >= MIN_READINGS) & ~self.fits & (self.searched < counts)
-            rows = np.union1d(self.waiting(SETTLED), np.flatnonzero(lost))
-            self.searched[rows] = counts[rows]
-            for begin in range(0, len(rows), CHUNK):
-                mine = rows[begin : begin + CHUNK]
-                estimator, part = self.estimator(mine)
-                self._take(mine, *search(estimator, self.scale), part)
-            self._examination = None
-            open_ = self.unexamined(growth=1.0)
-            for begin in range(0, len(open_), CHUNK // DIRECTIONS):
-                finish(self._look_elsewhere(open_[begin : begin + CHUNK // DIRECTIONS]))
-            if not len(rows) and not len(open_):
-                return
-
     def __getstate__(self) -> dict[str, Any]:
         """Without the work in progress, which starts again."""
         return vars(self) | {"_examination": None, "_begun": None}
 
-    def _near(self, points: Array, read: np.ndarray) -> np.ndarray:
+    def near(self, points: Array, read: np.ndarray) -> np.ndarray:
         """Placed taxels, rising, within reach of contact points (B, 3), m, or among `read`."""
         placed = np.flatnonzero(self.information.placed)
         if not len(placed):

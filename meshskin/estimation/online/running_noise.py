@@ -13,6 +13,7 @@ import numpy as np
 from ..joint.noise import estimate_noise, least_scale
 from ..uncertainty.goodness_of_fit import MIN_PAIRS
 from .running_estimate import CHUNK, RunningEstimate
+from .settling import settle
 
 FIRST_CONTACTS = 100
 """Contacts after which the noise is looked for first, and again after as many more until it shows;
@@ -39,7 +40,7 @@ class RunningNoise:
     def settle(self, estimate: RunningEstimate) -> None:
         """Estimate the noise from as many taxels as the memory bears, and all taxels anew by it."""
         if not self.known and self._estimate(estimate, CHUNK, 0.0):
-            estimate.settle()
+            settle(estimate)
 
     def _estimate(self, estimate: RunningEstimate, most: int, tolerance: float) -> bool:
         """Whether the noise shows; it is taken over where it changed by more than `tolerance`."""
@@ -56,9 +57,5 @@ class RunningNoise:
         template = estimate.store.template
         if estimate.store.noise_is_nominal or abs(found.scale - 1) > tolerance:
             noise = found.scale * template.sigma
-            estimate.store.template = replace(template, noise=noise, noise_pairs=found.pairs)
-            info.rescale(1 / found.scale)
-            estimate.sigma = noise
-            estimate.square /= found.scale**2
-            estimate.linearized_threshold[:] = np.inf  # all taxels wait
+            estimate.refer(replace(template, noise=noise, noise_pairs=found.pairs))
         return True

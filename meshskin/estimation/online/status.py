@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,6 +26,8 @@ FIRST_LOOK = 30
 """Degrees of freedom, or contacts, at the first look of a test."""
 LOOK_STEP = 1.1
 """Growth of the data from one look to the next: a fault is seen a tenth later than it could be."""
+CONTRADICTED = "most of whose readings contradict all others"
+"""Reason of a contact's rejection."""
 MIN_COUNT = 20
 """Contacts or taxels from which fractions of them are believed."""
 MAX_WAITING_MOVE = 0.1
@@ -151,8 +154,9 @@ class Judge:
             points = np.where((rows >= 0)[:, None], previous.positions[rows], np.nan)
             self._before = points, covariance
 
-    def look(self, estimate: RunningEstimate, rejected: int) -> None:
-        """Test fit and moves, where it is time to; rejected: contacts that were left out before."""
+    def look(self, estimate: RunningEstimate, rejected: Counter[str]) -> None:
+        """Test fit and moves, where it is time to; rejected: numbers of the contacts that were left
+        out before, by reason."""
         self._look_at_fit(estimate, rejected)
         self._look_for_moves(estimate)
 
@@ -170,22 +174,25 @@ class Judge:
         words = f"{above.sum() - unseen} taxels are above the target, {unseen} were never read"
         return KEEP_GOING, words
 
-    def _look_at_fit(self, estimate: RunningEstimate, rejected: int) -> None:
-        placed = estimate.information.placed
+    def _look_at_fit(self, estimate: RunningEstimate, rejected: Counter[str]) -> None:
+        contacts = rejected.total() + estimate.store.count
+        if not (level := self._fit_test.look(contacts)):  # however few of them count
+            return
+        placed, pairs = estimate.information.placed, estimate.store.template.noise_pairs
         used = placed & estimate.fits & (estimate.moved < MAX_WAITING_MOVE)
         square = float(estimate.square[used].sum())
         freedom = float(estimate.freedom[used].sum()) - len(estimate.parameters.sigma)
-        if not (level := self._fit_test.look(freedom)):
-            return
         unfit = int(np.sum(placed & ~estimate.fits))
-        contacts = rejected + estimate.store.count
-        rejected += int(estimate.store.misfitting.values.sum())
+        rejected = rejected + Counter({CONTRADICTED: int(estimate.store.misfitting.values.sum())})
+        known = not estimate.store.noise_is_nominal and freedom >= FIRST_LOOK
         self.misfit = ""
-        pairs = estimate.store.template.noise_pairs
-        if not estimate.store.noise_is_nominal and misfits(square, freedom, level, pairs):
+        if known and misfits(square, freedom, level, pairs):
             self.misfit = f"residuals are {np.sqrt(square / freedom):.3g} times the noise"
-        elif contacts >= MIN_COUNT and rejected > MAX_INVALID * contacts:
-            self.misfit = f"{rejected} of {contacts} contacts are rejected"
+        elif contacts >= MIN_COUNT and rejected.total() > MAX_INVALID * contacts:
+            ((reason, count),) = rejected.most_common(1)
+            total = rejected.total()
+            of_these = "" if count == total else f"{count} of these "
+            self.misfit = f"{total} of {contacts} contacts are rejected, {of_these}{reason}"
         elif placed.sum() >= MIN_COUNT and unfit > MAX_FAULTY * placed.sum():
             self.misfit = f"the readings of {unfit} of {placed.sum()} taxels do not fit"
         estimate.misfit = bool(self.misfit)

@@ -14,6 +14,7 @@ from ...core.arrays import Array
 from ...recording.recording import CONTACT_SCHEMA, QUATERNION, READING_SCHEMA
 from ..data.measurements import Measurements
 from ..data.patch_shape import ALIKE, alike_contacts
+from ..data.resolve_belief import nominal_patches
 
 TREE_STEP = 1000
 """Contacts after which the search tree is built again: 1 ms at 10,000, and the rest is searched
@@ -71,6 +72,7 @@ class ContactStore:
         if first.contact_errors is not None:
             shapes["contact_errors"] = (3,)
         self.columns = {name: GrowingRows(shape) for name, shape in shapes.items()}
+        self.columns["recorded"] = GrowingRows((), int)
         self.patches = {name: GrowingRows(()) for name in Patches._fields}
         self.contact, self.taxel = GrowingRows((), int), GrowingRows((), int)
         self.pressure, self.weight = GrowingRows(()), GrowingRows(())
@@ -135,10 +137,20 @@ class ContactStore:
         self.lowest = min(self.lowest, float(pressure[sound].min(initial=np.inf)))
         return first, first_reading
 
+    def refer(self, template: Measurements) -> None:
+        """Take measurements without contacts that have all else, as another contact model."""
+        if template.model != self.template.model:
+            force, curvature = (self.columns[name].values for name in ("force", "curvature"))
+            patches = nominal_patches(template.model, template.belief, force, curvature)
+            for name, rows in self.patches.items():
+                rows.values[:] = getattr(patches, name)
+        self.template = template
+
     def tables(self, ids: np.ndarray, period: float) -> tuple[pa.Table, pa.Table]:
         """Contacts and readings as a recording has them, of taxels with `ids` (n,). Times that do
         not rise are replaced by those of a frame each `period`, s."""
-        columns = {name: rows.values for name, rows in self.columns.items()}
+        order = np.argsort(self.columns["recorded"].values, kind="stable")
+        columns = {name: rows.values[order] for name, rows in self.columns.items()}
         time = columns["time"]
         if not (np.diff(time) > 0).all():  # of several recordings
             time = period * np.arange(self.count)
@@ -152,8 +164,10 @@ class ContactStore:
             quaternions = Rotation.from_matrix(columns["headings"]).as_quat()[:, [3, 0, 1, 2]]
             for name, values in zip(QUATERNION, quaternions.T, strict=True):
                 table = table.append_column(name, pa.array(values))
-        taxel = ids[self.taxel.values].astype(np.int32)
-        readings = [time[self.contact.values], taxel, self.pressure.values]
+        contact = np.argsort(order)[self.contact.values]
+        rows = np.argsort(contact, kind="stable")
+        taxel = ids[self.taxel.values[rows]].astype(np.int32)
+        readings = [time[contact[rows]], taxel, self.pressure.values[rows]]
         return table, pa.table(readings, schema=READING_SCHEMA)
 
     def near(self, points: Array, radius: float) -> np.ndarray:
@@ -180,6 +194,18 @@ class ContactStore:
         own = [np.array(rows[bisect_left(rows, since) :], dtype=int) for rows in all_rows]
         rows = np.concatenate([np.empty(0, dtype=int), *own])
         taxel = np.repeat(np.arange(len(taxels)), [len(part) for part in own])
+        return self._part(taxels, contacts, rows, taxel)
+
+    def part_of(self, taxels: np.ndarray, contacts: np.ndarray) -> Part:
+        """As `part`, of the taxels (t,), rising, without readings in other contacts."""
+        inside = np.isin(self.contact.values, contacts) & np.isin(self.taxel.values, taxels)
+        rows = np.flatnonzero(inside)
+        return self._part(taxels, contacts, rows, np.searchsorted(taxels, self.taxel.values[rows]))
+
+    def _part(
+        self, taxels: np.ndarray, contacts: np.ndarray, rows: np.ndarray, taxel: np.ndarray
+    ) -> Part:
+        """The readings `rows` (k,) of the taxels of numbers `taxel` (k,), and the `contacts`."""
         kept = ~self.misfitting.values[self.contact.values[rows]]
         rows, taxel = rows[kept], taxel[kept]
         contact, pressure = self.contact.values[rows], self.pressure.values[rows]

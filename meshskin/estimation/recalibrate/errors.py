@@ -65,7 +65,7 @@ def _fit_common(touches: Touches, states: Mapping[int, Hypothesis], errors: Erro
     score = -information @ at
     own = replace(errors, common=((0.0, 0.0), (0.0, 0.0)))
     for unit, state in states.items():
-        (block,) = touches.blocks(unit, [state], own)
+        block = touches.straight(unit, state, own)
         read = np.flatnonzero(block.read)
         if not len(read):
             continue
@@ -84,7 +84,7 @@ def _fit_common(touches: Touches, states: Mapping[int, Hypothesis], errors: Erro
 
 def _fit_errors(touches: Touches, states: Mapping[int, Hypothesis], errors: Errors) -> Errors:
     """sigma, tau and rho by the posterior mode of their logarithms."""
-    blocks = [touches.blocks(unit, [state], errors)[0] for unit, state in states.items()]
+    blocks = [touches.straight(unit, state, errors) for unit, state in states.items()]
     centre, width = _scales(touches)
 
     def at(x: Array) -> Errors:

@@ -43,6 +43,8 @@ MAX_STEP = 1.5e-3
 """Largest standard deviation of a place, m, over which mu is fitted: a third of a usual patch."""
 E_STEP = 0.02
 """Step of ln E* in the difference that gives the slope of mu: small against its uncertainty."""
+STEPS = 2
+"""Gauss-Newton steps to where the readings place a taxel."""
 LOG_2PI = float(np.log(2 * np.pi))
 
 
@@ -127,6 +129,17 @@ class Block:
         out[np.diag_indices(len(a))] += errors.sigma**2 + (errors.rho * self.mean) ** 2 + self.bend
         return np.asarray(out)
 
+    def displacements(self, errors: Errors) -> tuple[Array, Array]:
+        """Where the taxels (k, 3), m, most probably are off their points by the readings, and the
+        covariances (k, 3, 3), m^2, that these leave."""
+        read, places = np.flatnonzero(self.read), self.hypothesis.covariance
+        own = self.taxel[read, None] == np.arange(len(places))
+        by = np.einsum("kij,qj,qk->qki", places, self.slope[read], own).reshape(len(read), -1)
+        solved = np.linalg.solve(self.covariance(errors)[np.ix_(read, read)], by)
+        shift = (self.level - self.mean)[read] @ solved
+        taken = np.einsum("qki,qkj->kij", *(x.reshape(-1, *places.shape[:2]) for x in (by, solved)))
+        return shift.reshape(-1, 3), places - taken
+
     def log_likelihood(self, errors: Errors, threshold: float) -> float:
         """ln of the likelihood of the readings, relative to that of silent taxels far away."""
         c = self.covariance(errors)[None]
@@ -205,6 +218,18 @@ class Touches:
             Block(h, contact[a:b], taxel[a:b], level[a:b], *(x[a:b] for x in columns))
             for h, (a, b) in zip(hypotheses, pairwise(ends), strict=True)
         ]
+
+    def straight(self, unit: int, state: Hypothesis, errors: Errors) -> Block:
+        """The block of a state of a unit, linearized where its readings place the taxels, and not
+        over all that the map leaves open: `bend` is then that of what they leave open."""
+        (block,) = self.blocks(unit, [state], errors)
+        for _ in range(STEPS):
+            shift, covariance = block.displacements(errors)
+            there = replace(state, points=state.points + shift, covariance=covariance)
+            (block,) = self.blocks(unit, [there], errors)
+            back = np.einsum("qi,qi->q", block.slope, shift[block.taxel])
+            block = replace(block, hypothesis=state, mean=block.mean - back)
+        return block
 
     def reach(self, log_modulus: float = 0.0) -> Array:
         """Distance (m,), m, across each contact at which a taxel's disc leaves the patch, under E*

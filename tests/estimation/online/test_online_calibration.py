@@ -1,6 +1,7 @@
 """The online calibration against the batch estimate of the same contacts."""
 
 import pickle
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.errors import CalibrationError, ConfigError, RecordingError
+from meshskin.estimation.online.frames import RecordedFrames
 from meshskin.estimation.online.status import Judge
+from meshskin.geometry.region import Disc
 
 NOISE, THRESHOLD = 0.01, 0.05
 
@@ -183,7 +186,7 @@ def test_taxels_that_moved_are_named(online, batch):
     everywhere = np.ones(len(online.ids), dtype=bool)
     for previous, moved in ((batch, 0), (replace(batch, poses=shifted), 4)):
         judge = Judge(online.ids, previous, everywhere, 1e-4)
-        judge.look(online.estimate, 0)
+        judge.look(online.estimate, Counter())
         known = np.isfinite(batch.positions[:4, 0]).sum() if moved else 0
         assert judge.moved.sum() == judge.moved[:4].sum() == known
         verdict = judge.verdict(online.position_sigma, everywhere)[0]
@@ -284,3 +287,80 @@ def test_no_false_alarm_over_seeds(world):
         online.settle()
         previous = online.calibration()
     assert not alarms  # 39 tests of 1e-3: an alarm with a probability of 4 %
+
+
+def on_capsule(noise=0.01):
+    """A capsule, whose end caps are round and whose side is not, with readings of its side: scene,
+    contact points, readings (m, n)."""
+    body = ms.Body.capsule(0.03, 0.1)
+    skin = ms.Skin.cover(body, spacing=7e-3, count=12, seed=1, region=Disc((0.03, 0, 0), 0.03))
+    scene = ms.Scene.load("sphere").with_(body=body, skin=skin)
+    rng = np.random.default_rng(0)
+    near = skin.positions[rng.integers(12, size=150)] + rng.normal(scale=5e-3, size=(150, 3))
+    recording = ms.press(scene, body.closest(near).point, seed=1)
+    return scene, recording
+
+
+def test_a_contact_model_that_the_first_contact_suggests_gives_way():
+    """The first contact is on the end cap, where Hertz' circle holds, all others are not."""
+    scene, recording = on_capsule()
+    belief = scene.belief(contact="auto", noise_sigma=100.0, threshold=500.0)
+    online = ms.OnlineCalibration(belief)
+    online.update(ms.ContactFrames([0.0, 0.0, 0.08], 3.0), np.zeros(12))
+    assert online.estimate.store.template.model.name == "hertz"
+    status = online.update_recording(recording)
+    assert online.estimate.store.template.model.name == "elliptic"
+    assert (status.used, status.rejected) == (len(recording.time) + 1, 0)
+    assert (np.diff(online.recording().time) > 0).all()
+
+
+def test_a_light_first_contact_does_not_set_the_priors(sphere):
+    """Of a force offset that is unknown: its prior is relative to the reference force."""
+    skin, rng = ms.Skin.cover(sphere.body, spacing=6e-3, count=7, seed=1), np.random.default_rng(0)
+    near = skin.positions[rng.integers(7, size=100)] + rng.normal(scale=4e-3, size=(100, 3))
+    force = np.append(0.02, rng.uniform(1.0, 4.0, 99))
+    scene = sphere.with_(skin=skin)
+    recording = ms.press(scene, sphere.body.closest(near).point, force, seed=1)
+    belief = scene.belief(
+        unknown=("modulus", "force_offset"), force_reference=None, noise_sigma=100.0,
+        threshold=500.0,
+    )  # fmt: skip
+    online, frames = ms.OnlineCalibration(belief), RecordedFrames(recording, scene.skin.ids)
+    for k in range(100):
+        online.update(*frames.part(k, k + 1))
+    prior = online.estimate.parameters.sigma[1]
+    assert prior == pytest.approx(0.3 * np.median(force), rel=0.1)
+    assert online.estimate.information.weight[1] == pytest.approx(prior**-2)
+    online.settle()
+    batch = ms.calibrate(online.recording(), belief)
+    assert sigmas_apart(online, batch).max() < 0.01
+    ours, theirs = (x.unknowns["force_offset"] for x in (online.status, batch))
+    assert abs(ours[0] - theirs[0]) < 0.01 * theirs[1]
+
+
+@pytest.mark.parametrize(
+    ("off", "why"), [(True, "contacts are rejected, off the believed body"), (False, "do not fit")]
+)
+def test_a_misfit_is_said_when_most_data_are_bad(world, frames, off, why):
+    """Most contacts off the body; readings of other frames."""
+    contacts, readings = frames
+    at, m = contacts.points[:120].copy(), 120
+    if off:
+        at[30:] *= 1.5
+    else:
+        readings = readings[np.random.default_rng(0).permutation(m)]
+    status = run(world, ms.ContactFrames(at, contacts.force[:m]), readings[:m]).status
+    assert status.verdict == "model misfit"
+    assert why in status.why
+
+
+def test_contacts_that_were_rejected_too_early_come_back(world, frames):
+    """Under an E* of three times the true one, sound contacts contradict the first estimates."""
+    contacts, readings = frames
+    wrong = replace(world.belief(NOISE, THRESHOLD).material, young=3 * world.young)
+    online = ms.OnlineCalibration(world.belief(NOISE, THRESHOLD, material=wrong))
+    for k in range(len(contacts)):
+        status = online.update(contacts.take(slice(k, k + 1)), readings[k])
+    before = status.rejected
+    assert before > 0
+    assert online.settle().rejected < before / 3

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pyarrow as pa
 import pytest
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 import meshskin as ms
@@ -18,6 +19,7 @@ from meshskin.estimation.recalibrate.hypotheses import (
     MOVED,
     Hypothesis,
     dead,
+    dispersed,
     grid,
     log_prior,
     moved,
@@ -352,3 +354,27 @@ def test_a_place_three_sigmas_off_is_no_change(sphere):
     found = ms.recalibrate(map_, recording, belief)
     assert found.findings == ()
     assert found.unit_evidence[4] < 0
+
+
+def test_the_likelihood_of_a_taxel_is_that_over_all_places_that_the_map_allows(sphere):
+    """Against random places about a map that is three standard deviations off."""
+    scene, points = single_taxels(sphere, 0)
+    offset = np.zeros((12, 2))
+    offset[4, 0] = 0.9e-3
+    known = skin_map(displaced(scene.skin, offset).onto(scene.body), scene.belief())
+    touches, errors = Touches(_data(scene, points[:18]), known), Errors(0.01, 1e-6, 1e-3)
+
+    def likelihoods(hypotheses):
+        blocks = touches.blocks(4, hypotheses, errors)
+        return [block.log_likelihood(errors, touches.threshold) for block in blocks]
+
+    state, rng = unchanged(known, 4), np.random.default_rng(0)
+    places = moved(state, scene.body, rng.normal(scale=0.6e-3, size=(3000, 2)))
+    weights = np.array([-0.375 * np.sum(np.square(h.shift)) / 0.3e-3**2 for h in places])
+    still = [replace(h, covariance=0 * h.covariance, shift_sigma=0.0) for h in places]
+    expected = logsumexp(weights + likelihoods(still)) + np.log(4 / len(places))
+    parts, shares = dispersed(state, scene.body)
+    assert logsumexp(shares + likelihoods(parts)) == pytest.approx(expected, abs=0.7)
+    straight = touches.straight(4, state, errors).log_likelihood(errors, touches.threshold)
+    assert straight == pytest.approx(expected, abs=0.7)
+    assert abs(likelihoods([state])[0] - expected) > 1.0  # over all of them at once
