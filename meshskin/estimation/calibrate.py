@@ -32,9 +32,10 @@ from .result import EstimatorResult
 from .trilateration import coactivation, eq15, trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
 from .uncalibrated import uncalibrated
-from .uncertainty import observability
+from .uncertainty import observability, second_places
 from .uncertainty.contact_errors import systematic_covariance
 from .uncertainty.judge import fails_by_itself, judge
+from .uncertainty.unseen_motions import unseen_motions
 
 UNTOUCHED = "never touched"
 CONSTANT = "its reading never changes"
@@ -76,7 +77,7 @@ class Estimation:
         """The calibration by a method; arguments and errors as `calibrate`."""
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         found, result = self._estimated(method, tolerance, iterations, stage=stage)
-        begin = time.perf_counter()
+        begin, found = time.perf_counter(), second_places.widened(self.data, found)
         verdict = judge(self.recording, self._near, found, result.departures, self.data)
         stage.end()
         judged = time.perf_counter() - begin
@@ -134,12 +135,14 @@ class Estimation:
             belief=data.belief,
             provenance=provenance(
                 method=method,
-                recording=self._digest,
+                recording=digest(
+                    self.recording.points, self.recording.force, self.recording.pressure
+                ),
                 source=self.recording.metadata.get("provenance", {}),
             ),
             disc_radius=data.belief.disc_radius,
             frame=getattr(data.belief.body, "frame", None),  # an exact surface has none
-            **result.details,
+            **{**result.details, "undetermined": result.undetermined + unseen_motions(self._near)},
         )
         seconds = {"gather": self._seconds, **result.seconds}
         total = self._seconds + time.perf_counter() - begin
@@ -162,11 +165,6 @@ class Estimation:
     def _contact_centroids(self) -> Array:
         return trilaterate.centroids(coactivation.without_distant_readings(self.data))
 
-    @cached_property
-    def _digest(self) -> str:
-        given = self.recording
-        return digest(given.points, given.force, given.pressure)
-
     def joint(
         self, stage: Stage, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS
     ) -> EstimatorResult:
@@ -186,9 +184,8 @@ class Estimation:
             if (other := self._learned(stage)) is None:
                 raise
             return other
-        contradicted = self._contradicted(found) and not fails_by_itself(self.recording, self.data)
-        if contradicted and (other := self._learned(stage)) is not None:
-            return found.found.with_jump(other)
+        if self._contradicted(found) and not fails_by_itself(self.recording, self.data):
+            return found.found.with_jump(self._learned(stage)) or found.result()
         return found.result()
 
     @property

@@ -83,7 +83,7 @@ def test_a_plan_for_another_arm_is_refused(sphere):
 def test_contacts_too_close_to_one_another_are_refused(sphere, wish):
     free = sphere.with_(
         loop=replace(sphere.loop, mode="quasi_static"),
-        exploration=replace(sphere.exploration, **wish),
+        exploration=replace(sphere.exploration, pattern="lanes", **wish),
     )
     for carried in (None, "hand"):
         scene = free.with_(indenter=replace(sphere.indenter, carried_by=carried))

@@ -37,6 +37,7 @@ from ..result import (
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .contact_correlations import alike_errors, fewer_contacts, force_scatter
 from .estimated_response import learned_response
+from .gain_changes import GAIN_CHANGES, gain_changes
 from .lags import LAGS, MAX_LEVERAGE, contact_leverage, lags
 from .marginal_slope import slope_beyond_mode
 from .random_effects import RandomEffects
@@ -85,8 +86,9 @@ def learned_result(
     points, rotations = placed.points(), placed.rotations()
     apart = np.nan_to_num(rivals.points - points)
     tangential += tangential_square(rotations[:, :, :2], apart)
-    lost, reasons = estimator.broken, reasons.copy()
-    reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
+    changed, reasons = gain_changes(effects.fitted()), reasons.copy()
+    reasons[live], reasons[live[estimator.broken]] = "", MOSTLY_OUTLIERS
+    reasons[live[changed]], lost = GAIN_CHANGES, estimator.broken | changed
     infinite = np.diag([np.inf, np.inf])
     faults = estimator.faults.copy()
     name_rivals(faults, live, points, rivals.points)
@@ -176,7 +178,9 @@ def _small_effects(effects: RandomEffects, fit: GoodnessOfFit) -> dict[str, Smal
     found = {LAGS: late, SHARES: further_shares(fitted)}
     weak = [min(found, key=lambda name: found[name].score)]  # each passes for the other
     if contact_leverage(fitted) > MAX_LEVERAGE:
-        weak = list(found)
+        # the slope beyond the mode errs by the size of a lag: only what the mode shows is named
+        shown = min(late.score, lags(fitted, lambda _: np.zeros(1)).score)
+        found[LAGS], weak = replace(late, score=shown), list(found)
     return {name: one.held() if name in weak else one for name, one in found.items()}
 
 
