@@ -35,8 +35,7 @@ CONTACT_ERRORS = "errors of the contacts"
 MIN_SCORE = 6.0
 """Score, in standard deviations, from which a departure is shown: 1e-9 by chance."""
 TOGETHER = 7
-"""Candidates whose scores are computed together: all at once would need the memory of the readings'
-derivatives again."""
+"""Candidates whose scores are computed together: all at once need the memory of the derivatives."""
 WIDTHS = (0.5, 1.0, 2.0, 4.0)
 """Half-widths of the play operator that are tried, in units of WIDTH."""
 LIMITS = (0.1e-3, 0.25e-3, 0.5e-3, 1e-3)
@@ -288,8 +287,7 @@ def normal_score(square: float, count: int) -> float:
 def departure_scores(estimator: JointEstimator, fitted: FittedReadings | None) -> dict[str, float]:
     """Score of each departure from the contact model, in standard deviations; without fitted
     readings, as with rigid modules, only that of errors of the contacts."""
-    found = {} if fitted is None else fitted.scores()
-    scores = {name: score for name, (score, _) in found.items()}
+    scores = {} if fitted is None else {n: score for n, (score, _) in fitted.scores().items()}
     return {CONTACT_ERRORS: contact_score(estimator), **scores}
 
 
