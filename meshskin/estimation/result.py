@@ -115,6 +115,8 @@ class LearnedResponse(Value):
     """Largest change of the gain of all taxels during the recording, relative."""
     offset_drift: float = 0.0
     """Largest change of the offset of all taxels during the recording."""
+    force_drift: float = 0.0
+    """Largest change of the true over the measured forces during the recording, relative."""
     contact: str = "hertz"
     """Contact model that the response corrects."""
     references: tuple[float, ...] = ()
@@ -155,6 +157,7 @@ class LearnedResponse(Value):
             "creep_time_s": self.creep[1],
             "gain_drift": self.gain_drift,
             "offset_drift": self.offset_drift,
+            "force_drift": self.force_drift,
             "groups": [ids_in_words(one.taxels) for one in self.each if len(one.taxels)],
         }
 
@@ -208,6 +211,8 @@ class LearnedResponse(Value):
         if self.offset_drift:
             words = f"drifts by {self.offset_drift:.2g} {self.unit_name}"
             shown.append(f"the offset of all taxels {words}")
+        if self.force_drift:
+            shown.append(f"the measured forces drift by {100 * self.force_drift:.2g} %")
         if self.others:
             words = "; ".join(ids_in_words(one.taxels) for one in self.each)
             shown.append(f"{len(self.each)} groups of taxels have responses of their own: {words}")

@@ -41,6 +41,8 @@ class World:
     contact reads as one of that much more force."""
     force_error: float = 0.0
     """Standard deviation of ln of the recorded over the true force."""
+    force_drift: float = 0.0
+    """Relative fall of the recorded over the true forces during the recording."""
     nominal_force: bool = False
     """Whether the recorded force is sphere.FORCE in every contact."""
     dwell: tuple[float, float] = (sphere.FRAME, sphere.FRAME)
@@ -91,6 +93,7 @@ def record(world: World, seed: int) -> Sample:
     rng = np.random.default_rng([seed, 7])
     force = touch.force * np.exp(world.force_error * rng.normal(size=world.contacts))
     stiffness = np.exp(world.uneven * sphere.stiffness(touch.points, UNEVEN, seed))
+    force *= 1 + world.force_drift * np.linspace(0.5, -0.5, world.contacts)
     touch = replace(touch, force=touch.force * stiffness)
     if world.nominal_force:
         force = np.full(world.contacts, sphere.FORCE)

@@ -227,6 +227,7 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
         pytest.param(
             "warming", {"gain_drift": 0.1, "offset_drift": 0.03}, 0.05e-3, marks=pytest.mark.slow
         ),
+        ("force_drift", {"force_drift": 0.22}, 0.04e-3),
         pytest.param("drag_01", {"drag": 0.1e-3}, 0.03e-3, marks=pytest.mark.slow),
         pytest.param("drag_09", {"drag": 0.9e-3}, 0.03e-3, marks=pytest.mark.slow),
         ("force_nominal", {}, 0.05e-3),
@@ -237,7 +238,7 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
 def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, truth, worst):
     """By default, of pressures; `truth`: share and width of the hysteresis, share of crosstalk,
     deviation of the drift relative to the peak reading, drag, m, share and time constant, s, of the
-    creep, and drifts of all gains and offsets, relative and in peak readings."""
+    creep, and drifts of all gains and forces, relative, and of all offsets, in peak readings."""
     from worlds import sphere
     from worlds.world import record
 
@@ -259,13 +260,14 @@ def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, tr
         "creep": learned.creep,
         "gain_drift": learned.gain_drift,
         "offset_drift": learned.offset_drift / sample.sensors.peak,
+        "force_drift": learned.force_drift,
     }
     for key, value in estimated.items():
         expected = truth.get(key, np.zeros(np.shape(value)))
         assert value == pytest.approx(expected, rel=0.3)
     if "drag" in truth:
         return
-    words = "hysteresis", "crosstalk", "offsets drift", "creep", "the gain", "the offset"
+    words = "hysteresis", "crosstalk", "offsets drift", "creep", "the "
     named = [text for text in learned.describe() if text.startswith(words)]
     assert len(named) == len(truth)
 

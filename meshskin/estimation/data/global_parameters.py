@@ -45,6 +45,7 @@ SIZES = {
     "creep": 3,
     "gain_drift": DRIFT_SIZE,
     "offset_drift": DRIFT_SIZE,
+    "force_drift": DRIFT_SIZE,
 }
 """Number of entries of each global parameter, but for the contact motion."""
 MOTION = "contact_motion"
@@ -71,6 +72,7 @@ PRIORS = {
     "creep": 1.0,
     "gain_drift": 0.3,
     "offset_drift": 0.3,
+    "force_drift": 0.3,
     "gain": 0.3,
     "offset": 0.3,
     "drift": 0.3,
@@ -89,12 +91,13 @@ model's to the power 1 + "aspect". That of a half-space is about the power 2/3 o
 principal curvatures' ratio, that of a thin layer 1/2: an aspect of -1/4."""
 ELECTRONICS = ("hysteresis", "crosstalk", "creep")
 """Further ones, estimated where the readings show them (joint/electronics.py)."""
-WARMING = ("gain_drift", "offset_drift")
-"""Drifts of the logarithm of the gain and of the offset of all taxels, estimated likewise."""
+DRIFTS = ("gain_drift", "offset_drift", "force_drift")
+"""Drifts of the logarithm of the gain and of the offset of all taxels, and of the logarithm of the
+true over the measured forces, estimated likewise."""
 ERROR_EXPONENT = "exponents of the radius in force errors"
 """Label of the exponent of sizes in a contact's error of ln F, beyond the model's. Without such
 errors there is nothing to determine."""
-DEPARTURES = (*ELECTRONICS, *WARMING, "drift")
+DEPARTURES = (*ELECTRONICS, *DRIFTS, "drift")
 """What makes a reading depend on its taxel's past, on its neighbours or on the time."""
 LEARNED_PRIORS = {"modulus": 0.5, "scale": 0.5}
 """Their priors that differ from PRIORS: readings in a unit of their own say nothing about E*."""
@@ -112,7 +115,7 @@ UNITS = (
     | dict.fromkeys(
         ("exponents", "aspect", "compression", "force_scatter", "hysteresis", "crosstalk"), ""
     )
-    | dict.fromkeys(("profile", "creep", "gain_drift", "offset_drift"), "")
+    | dict.fromkeys(("profile", "creep", *DRIFTS), "")
 )
 """Units of global parameters that are neither lengths nor angles nor logarithms."""
 RADIUS_TOLERANCE = 0.03
@@ -172,7 +175,7 @@ class GlobalParameters:
             ),
             "hysteresis": ("share", "width"),
             "creep": ("share", "time constant", "lift"),
-            **dict.fromkeys(WARMING, tuple(str(k + 1) for k in range(DRIFT_SIZE))),
+            **dict.fromkeys(DRIFTS, tuple(str(k + 1) for k in range(DRIFT_SIZE))),
             "profile": tuple(str(k) for k in range(1, PROFILE_SIZE + 1)),
             MOTION: tuple(
                 str(k + 1) for k in range(0 if self.motion is None else self.motion.size)
@@ -252,6 +255,7 @@ class GlobalParameters:
             "creep": "share of creep 0 +- {:.3g}",
             "gain_drift": "drift of the gain of all taxels 0 +- {:.3g}",
             "offset_drift": "drift of the offset of all taxels, in nominal peaks, 0 +- {:.3g}",
+            "force_drift": "drift of ln of the forces 0 +- {:.3g}",
             "crosstalk": "share of its neighbours' pressures in a reading 0 +- {:.3g}",
             "gain": "gain of each taxel within a factor {:.3g} of 1 (1 sigma)",
             "offset": "offset of each taxel 0 +- {:.3g} Pa",

@@ -1,6 +1,6 @@
 """The contacts as functions of the global parameters s: where they are, and their patches.
 
-    f = ln(F_true / F),  F_true = exp(h) F + b,  e = ln(E* / nominal)
+    f = ln(F_true / F),  F_true = exp(h + drift) F + b,  e = ln(E* / nominal)
 
 patch_derivatives.py gives the patches' dependence on f and e. An offset of the indenter, constant
 in the world frame, and of the body move the contact points over the surface; the contacts' frames
@@ -148,13 +148,14 @@ class LinearizedContacts:
         # d ln(F/E*) / ds, by columns: memory of those of the profile, which are zero, is not used
         load = np.zeros((len(force), len(s)), order="F")
         if "force_scale" in at:
-            scale = np.exp(self.parameters.value("force_scale", self._clipped(s)))
-            load[:, at["force_scale"]] = (scale * data.force / force)[:, None]
+            load[:, at["force_scale"]] = (self._scaled(s) / force)[:, None]
         if "force_offset" in at:
             load[:, at["force_offset"]] = 1 / force[:, None]
+        if "force_drift" in at:
+            load[:, at["force_drift"]] = (self._scaled(s) / force)[:, None] * data.drifts
         if "modulus" in at:
             load[:, at["modulus"]] = -1.0
-        loads = [at[n].start for n in ("force_scale", "force_offset", "modulus") if n in at]
+        loads = load.any(axis=0)
 
         def by_load(slope: Array) -> Array:
             found = np.zeros(load.shape, order="F")
@@ -197,11 +198,15 @@ class LinearizedContacts:
         force is balanced, but for an exponent of its own in the force.
         """
         data, exponents = self.data, s[columns]
-        force = np.log(data.force / (data.belief.force_reference or 1.0))
+        force = np.log(data.force / (data.belief.force_reference or 1.0)) + self._drift(s)
         size = force - np.log(data.relative_curvature / data.typical_curvature)
         for slope in shape[:2]:
             slope[:, columns.start] = size
         log_peak[:, columns.start : columns.start + 2] = np.column_stack([-2 * size, force])
+        if drift := self.parameters.columns.get("force_drift"):
+            for slope in shape[:2]:
+                slope[:, drift] += exponents[0] * data.drifts
+            log_peak[:, drift] += (exponents[1] - 2 * exponents[0]) * data.drifts
         grown = np.exp(exponents[0] * size)
         return patches._replace(
             first=patches.first * grown,
@@ -320,6 +325,16 @@ class LinearizedContacts:
 
     def _force(self, s: Array) -> Array:
         """True forces (m,), N."""
+        offset = self.parameters.value("force_offset", self._clipped(s))
+        return np.maximum(self._scaled(s) + offset, 0.01 * self.recorded.force)
+
+    def _scaled(self, s: Array) -> Array:
+        """True forces (m,), N, but for their offset."""
         s = self._clipped(s)
-        h, b = (self.parameters.value(name, s) for name in ("force_scale", "force_offset"))
-        return np.maximum(np.exp(h) * self.recorded.force + b, 0.01 * self.recorded.force)
+        log_scale = self.parameters.value("force_scale", s) + self._drift(s)
+        return np.asarray(np.exp(log_scale) * self.recorded.force)
+
+    def _drift(self, s: Array) -> Array:
+        """Drift (m,), or 0, of ln F of the measured forces."""
+        at = self.parameters.columns.get("force_drift", slice(0, 0))
+        return self.recorded.drifts[:, : at.stop - at.start] @ self._clipped(s)[at]

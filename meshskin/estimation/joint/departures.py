@@ -116,6 +116,8 @@ class FittedReadings:
         yield "drag", self.moved(data.headway[:, :, None]), np.zeros(1)
         yield "gain_drift", drifts * pressure[:, None], np.zeros(DRIFT_SIZE)
         yield "offset_drift", drifts * electronics.peak, np.zeros(DRIFT_SIZE)
+        if self.system is not None:
+            yield "force_drift", drifts * self.jacobian[:, -1:], np.zeros(DRIFT_SIZE)
         for limit in LIMITS:
             yield "friction", -self.moved(shears(data, limit)[0][:, :, None]), np.array([limit])
         for width in WIDTHS:

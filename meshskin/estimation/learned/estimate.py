@@ -23,12 +23,12 @@ from ...core.errors import CalibrationError
 from ...core.progress import Stage
 from .. import chart
 from ..data.global_parameters import (
+    DRIFTS,
     ELECTRONICS,
     LEARNED,
     LEARNED_PRIORS,
     PRIORS,
     SIZES,
-    WARMING,
     declared_parameters,
 )  # fmt: skip
 from ..data.measurements import Measurements
@@ -49,7 +49,7 @@ from ..trilateration import coactivation, trilaterate
 from .departure_search import first_estimate, plausible, with_departures
 from .deviations import UNMEASURED_FORCE, Deviations
 from .modules import moved_to_modules
-from .random_effects import MAX_ITERATIONS, RandomEffects
+from .random_effects import MAX_DECREASE, MAX_ITERATIONS, RandomEffects
 from .response_groups import response_groups
 from .result import learned_result
 
@@ -66,9 +66,6 @@ ROUND = 0.02
 quarter of it displaces its rim by less than 1 %."""
 STEP = 1e-3
 """Longest move of a taxel in one step, m."""
-MAX_DECREASE = 0.25
-"""Expected decrease of the cost per reading by a further step, from which an estimate is not at its
-optimum: noise costs 0.5, and the rests were 0 to 0.04, or 1 to 1.5 where steps had lost the way."""
 MAX_ROUNDS = 3
 """Largest number of times that outlying readings are left out and the rest is estimated again."""
 USUAL_STEPS = 30
@@ -210,7 +207,7 @@ def as_learned(
     positions (n, 3), m: of that calibration."""
     scale = data.unit / response.unit
     estimated = {label.split()[0] for label in unknowns}
-    for name in estimated & {"hysteresis", "creep", *WARMING} - set(data.parameters.names):
+    for name in estimated & {"hysteresis", "creep", *DRIFTS} - set(data.parameters.names):
         p, more = data.parameters, np.full(SIZES[name], PRIORS[name])
         p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, more))
         data = replace(data, parameters=p)

@@ -48,6 +48,7 @@ def learned_response(
         creep=_creep(effects),
         gain_drift=float(np.expm1(_common_drift(effects, "gain_drift"))),
         offset_drift=_common_drift(effects, "offset_drift") * nominal,
+        force_drift=float(np.expm1(_common_drift(effects, "force_drift"))),
         contact=data.model.name,
         references=(
             data.belief.force_reference or 1.0,

@@ -40,9 +40,10 @@ from .posterior import Posterior, Probes
 MAX_ITERATIONS, USUAL_ITERATIONS, MAX_IMPLAUSIBLE = 60, 30, 10
 """Largest number of Gauss-Newton steps; 10 to 25 are usual, and after 30 variances near zero that
 grow and vanish in turn come to rest; after ten in a row out of a prior's reach none came back."""
-SETTLED = 0.01
+SETTLED, MAX_DECREASE = 0.01, 0.25
 """Expected decrease of the cost per reading from which on variances move: before, residuals and
-effects are not those of the optimum."""
+effects are not those of the optimum; and that from which an estimate is not there: noise costs 0.5,
+and the rests were 0 to 0.04, or 1 to 1.5 where steps had lost the way."""
 MAX_RISE = 10.0
 """Largest rise of the cost, relative to it, in a step that leaves a curved valley: beyond, the step
 is none of a linear cost's."""
@@ -119,10 +120,10 @@ class RandomEffects:
     @property
     def prior(self) -> tuple[Array, Array, Array]:
         """Prior precisions of a taxel (2 + q,), a contact (3,) and the global parameters (ks,)."""
-        d, sigma = self.deviations, self.data.parameters.sigma.copy()
-        sigma[self.data.parameters.columns.get("profile", slice(0, 0))] = d.profile
-        own = [getattr(d, name) ** -2.0 for name in self.data.parameters.nuisance_names]
-        taxel = np.array([0.0, 0.0, *own])
+        d, p = self.deviations, self.data.parameters
+        sigma = p.sigma.copy()
+        sigma[p.columns.get("profile", slice(0, 0))] = d.profile
+        taxel = np.array([0.0, 0.0, *(getattr(d, name) ** -2.0 for name in p.nuisance_names)])
         return taxel, np.array([d.position, d.position, d.force]) ** -2.0, sigma**-2.0
 
     def move(self, unknowns: Unknowns) -> None:
@@ -188,10 +189,8 @@ class RandomEffects:
 
     def cost(self) -> float:
         """Cost of readings and random effects at the present values."""
-        cost = self._once(self._costs)[0]
-        taxel, contact, shared = self.prior
-        u = self.unknowns
-        total = cost.sum() + (taxel[2:] * u.nuisance**2).sum() / 2
+        u, (taxel, contact, shared) = self.unknowns, self.prior
+        total = self._once(self._costs)[0].sum() + (taxel[2:] * u.nuisance**2).sum() / 2
         return float(total + (contact * u.errors**2).sum() / 2 + (shared * u.s**2).sum() / 2)
 
     def _costs(self) -> tuple[Array, Array, Array]:
@@ -302,7 +301,8 @@ class RandomEffects:
                 self._leave_out_certain_silences()
             self.iterates.append(self.unknowns.parametrization.points())
             outside = 0 if plausible() else outside + 1
-            at_rest = move < MOVE_TOLERANCE and gain < TOLERANCE
+            if at_rest := move < MOVE_TOLERANCE and gain < TOLERANCE:  # but for the variances' step
+                at_rest = self.system().newton_step()[2] < MAX_DECREASE * len(self.mu)
             if at_rest or outside == MAX_IMPLAUSIBLE:
                 return at_rest
         return False

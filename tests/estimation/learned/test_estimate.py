@@ -16,6 +16,7 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
+from meshskin.estimation.data.global_parameters import DRIFT_SIZE, DRIFTS
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood
 from meshskin.estimation.joint.readings import select
@@ -166,7 +167,9 @@ def test_every_derivative_of_the_learned_response(groups):
     known = belief(contact="learned", response_groups=groups)
     data = gather(recording(*world(contacts=80)), known)
     data = replace(with_learned_response(data, TRUTH), response_levels=(0.4, 0.3))
-    n, m = len(TRUTH), len(data.points)
+    p, more = data.parameters, np.full(DRIFT_SIZE * len(DRIFTS), 0.3)
+    p = replace(p, names=(*p.names, *DRIFTS), sigma=np.append(p.sigma, more))
+    data, n, m = replace(data, parameters=p), len(TRUTH), len(data.points)
     readings = select(
         data, np.arange(n), TRUTH, TRUTH / RADIUS, 0.0, np.ones(len(data.pressure)), np.ones(n)
     )
