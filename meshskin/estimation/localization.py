@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.arrays import Array, means_by_group, sums_by_group
-from .data.global_parameters import MOTION, MOVES, PRIORS
+from .data.global_parameters import MOTION, MOVES, nuisance_unit
 from .data.measurements import Measurements
 from .data.pairs import near_pairs
 from .data.resolve_belief import contact_model
@@ -292,17 +292,13 @@ def _with_taxel_unknowns(
     """The measurements with the parameters of single taxels that a calibration estimated, and their
     values (n, .) as `Likelihood.predict` takes them."""
     if calibration.taxel_unknowns:
-        peak, p = data.nominal_peak, data.parameters.with_nuisance(data.nominal_peak)
-        if "drift" in calibration.taxel_unknowns:
-            names = tuple(dict.fromkeys((*p.nuisance_names, "drift")))
-            sigma = (*p.nuisance_sigma, PRIORS["drift"] * peak)[: len(names)]
-            p = replace(p, nuisance_names=names, nuisance_sigma=sigma)
+        p = data.parameters.with_nuisance(data.nominal_peak, calibration.taxel_unknowns)
         data = replace(data, parameters=p)
-    units = {"gain": 1.0} | dict.fromkeys(("offset", "drift"), data.sigma * data.unit)
-    none = np.zeros((len(data.ids), 2))
+    none, pressure = np.zeros((len(data.ids), 2)), data.sigma * data.unit
     columns = [
-        np.nan_to_num(calibration.taxel_unknowns.get(name, none)[:, 0] / units[name])
+        np.nan_to_num(values[:, 0] / nuisance_unit(name, pressure))
         for name in data.parameters.nuisance_names
+        for values in [calibration.taxel_unknowns.get(name, none)]
     ]
     return data, np.stack(columns, axis=1) if columns else none[:, :0]
 

@@ -108,6 +108,9 @@ class LearnedResponse(Value):
     """1 where all neighbours crosstalk; else the part that does of the pairs of near taxels."""
     drift: float = 0.0
     """Standard deviation over the taxels of the change of their offsets during the recording."""
+    skew: float = 0.0
+    """Standard deviation, m, over the taxels of how far contacts move until their channels are read
+    one after another."""
     creep: tuple[float, float] = (0.0, 0.0)
     """Share of a held reading that follows the pressure, and its time constant, s
     (joint/creep.py); zeros where the readings show none."""
@@ -153,6 +156,7 @@ class LearnedResponse(Value):
             "crosstalk": self.crosstalk,
             "leaking": self.leaking,
             "drift": self.drift,
+            "skew_mm": 1e3 * self.skew,
             "creep_share": self.creep[0],
             "creep_time_s": self.creep[1],
             "gain_drift": self.gain_drift,
@@ -201,6 +205,9 @@ class LearnedResponse(Value):
             shown.append(
                 f"offsets drift by {self.drift:.2g} {self.unit_name} during the recording (1 sigma)"
             )
+        if self.skew:
+            words = f"moves by {1e3 * self.skew:.2g} mm between them (1 sigma)"
+            shown.append(f"taxels are not read at once: a contact {words}")
         if self.creep[0]:
             shown.append(
                 f"creep: {100 * self.creep[0]:.2g} % of a held reading follows the pressure with a "
@@ -246,7 +253,8 @@ class EstimateDetails:
     undetermined: tuple[str, ...] = ()
     """Directions of the global parameters that rest on the priors, in words."""
     taxel_unknowns: Mapping[str, Array] = field(default_factory=dict)
-    """"gain" (ln) and "offset" (Pa) where estimated: value and standard deviation (n, 2)."""
+    """"gain" (ln), "offset", "drift" (Pa) and "skew" (m) where estimated: value and standard
+    deviation (n, 2)."""
     faults: np.ndarray | None = None
     """What is wrong with a taxel (n,) str, "" where nothing was found; None: not looked for."""
     rivals: Array | None = None

@@ -28,12 +28,12 @@ def bound(world: World, sample: Sample) -> float:
     """Root mean square error, m, that no unbiased estimate of the places beats; NaN where unknown.
 
     It is not computed where pressures are not radial, where taxels read each other's pressure
-    (crosstalk), where the offset drifts, and where hysteresis carries the error of a contact into
-    later ones.
+    (crosstalk) or are read one by one, where the offset drifts, and where hysteresis carries the
+    error of a contact into later ones.
     """
     e = world.electronics
     memory = e.hysteresis and (world.scatter or world.force_error or world.nominal_force)
-    if e.crosstalk or e.drift or memory or not isinstance(world.pressures, Radial):
+    if e.crosstalk or e.drift or memory or world.skew or not isinstance(world.pressures, Radial):
         return float("nan")
     taxel, taxel_prior = _taxel_columns(world, sample)
     contact, contact_prior = _contact_columns(world, sample)

@@ -92,6 +92,11 @@ def scattered(touch: Touch, sigma: Array, seed: int) -> Touch:
     return replace(touch, points=moved(moved(touch.points, first, off[0]), second, off[1]))
 
 
+def advanced(touch: Touch, frames: float) -> Touch:
+    """The contacts where they are `frames` later."""
+    return replace(touch, points=moved(touch.points, np.gradient(touch.points, axis=0), frames))
+
+
 def stiffness(points: Array, length: float, seed: int) -> Array:
     """A Gaussian random field (m,) of deviation 1 at the points, correlated over `length`, m.
 

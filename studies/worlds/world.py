@@ -43,6 +43,9 @@ class World:
     """Standard deviation of ln of the recorded over the true force."""
     force_drift: float = 0.0
     """Relative fall of the recorded over the true forces during the recording."""
+    skew: float = 0.0
+    """Frames from the reading of the first channel to that of the last one; the contact moves on
+    between them."""
     nominal_force: bool = False
     """Whether the recorded force is sphere.FORCE in every contact."""
     dwell: tuple[float, float] = (sphere.FRAME, sphere.FRAME)
@@ -77,7 +80,15 @@ class Sample:
         """Readings (m, n) without noise, also at other positions and contacts."""
         at = self.positions if positions is None else positions
         near = np.linalg.norm(self.positions[:, None] - self.positions, axis=2)
-        pressures = world.pressures(touch or self.touch, np.concatenate([at, self.guard]))
+        touch, every = touch or self.touch, np.concatenate([at, self.guard])
+        if world.skew:
+            columns = [
+                world.pressures(sphere.advanced(touch, late), every[[k]])[:, 0]
+                for k, late in enumerate(np.linspace(0.0, world.skew, len(every)))
+            ]
+            pressures = np.stack(columns, axis=1)
+        else:
+            pressures = world.pressures(touch, every)
         time = self.recording.time
         return self.sensors.exact(pressures[:, : len(at)], near, time, self.dwell)
 

@@ -272,6 +272,21 @@ def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, tr
     assert len(named) == len(truth)
 
 
+def test_taxels_that_are_read_one_after_another(study, worlds):
+    """One spiral passes most taxels in one direction: only those in its middle tell how far."""
+    from worlds import sphere
+    from worlds.world import record
+
+    sample = record(replace(worlds["multiplexed"], taxels=61, contacts=620), 1)
+    found = ms.calibrate(sample.recording, study.belief(sample, ms.Body.sphere(sphere.RADIUS)))
+    off = np.linalg.norm(found.positions - sample.positions, axis=1)
+    assert np.max(off / found.position_sigma) < 4.5
+    assert 0.8 < np.sqrt(np.mean(found.position_sigma**2) / np.mean(off**2)) < 1.25
+    step = np.linalg.norm(np.diff(sample.touch.points, axis=0), axis=1)
+    late = 0.5 * np.median(step) * np.linspace(0.0, 1.0, 61)
+    assert found.response.skew == pytest.approx(np.std(late), rel=0.3)
+
+
 @pytest.mark.parametrize(
     "name",
     [

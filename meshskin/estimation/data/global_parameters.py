@@ -5,14 +5,14 @@ in the world frame and a body offset (translation, rotation) in the body frame (
 drag, the distance of the patches behind the moving contacts; friction, the shear of the skin at
 which contacts begin to slide (joint/friction.py);
 whitened entries u of the unknowns that move contacts (scene/contact_motion.py).
-Each taxel may have nuisance parameters of its own: ln gain, offset, and the offset's drift.
+Each taxel may have nuisance parameters of its own: ln gain, offset, the offset's drift, and skew,
+the distance of the patches behind the contacts when its channel is read.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from ...contact.learned import PROFILE_SIZE
 from ...core.arrays import Array
 from ...core.errors import UnknownNameError
 from ...scene.contact_motion import ContactMotion
-
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
 
 DRIFT_SIZE = 4
 """Entries of a drift that all taxels share: Legendre polynomials of the time from the first degree
@@ -52,8 +49,10 @@ MOTION = "contact_motion"
 """Global parameter of as many entries as the belief's contact motion has."""
 MOVES = ("indenter_offset", "body_offset", "drag", "friction", MOTION)
 """Global parameters that move the recorded contacts, not the readings of a contact in its place."""
-NUISANCE = ("gain", "offset", "drift")
+NUISANCE = ("gain", "offset", "drift", "skew")
 """Parameters of each taxel beside its position."""
+LATE = ("drift", "skew")
+"""Those that are estimated where the readings show them."""
 PRIORS = {
     "modulus": 1.0,
     "force_scale": 0.3,
@@ -72,14 +71,15 @@ PRIORS = {
     "creep": 1.0,
     "gain_drift": 0.3,
     "offset_drift": 0.3,
-    "force_drift": 0.3,
+    "force_drift": 0.1,
     "gain": 0.3,
     "offset": 0.3,
     "drift": 0.3,
+    "skew": 1e-3,
 }
 """Default standard deviations of the priors: of the logarithms of modulus, force scale and gain; of
 the force offset in reference forces, of the pressure offset and its drift over the recording in
-reference peak pressures, of indenter and body offset and of drag in m. Weak on purpose:
+reference peak pressures, of indenter and body offset, drag and skew in m. Weak on purpose:
 `Belief.priors` replaces them."""
 ROTATION = 10.0
 """Standard deviation of the body's rotation, rad, per m of that of its translation: the rotation
@@ -97,7 +97,7 @@ true over the measured forces, estimated likewise."""
 ERROR_EXPONENT = "exponents of the radius in force errors"
 """Label of the exponent of sizes in a contact's error of ln F, beyond the model's. Without such
 errors there is nothing to determine."""
-DEPARTURES = (*ELECTRONICS, *DRIFTS, "drift")
+DEPARTURES = (*ELECTRONICS, *DRIFTS, *LATE)
 """What makes a reading depend on its taxel's past, on its neighbours or on the time."""
 LEARNED_PRIORS = {"modulus": 0.5, "scale": 0.5}
 """Their priors that differ from PRIORS: readings in a unit of their own say nothing about E*."""
@@ -118,9 +118,6 @@ UNITS = (
     | dict.fromkeys(("profile", "creep", *DRIFTS), "")
 )
 """Units of global parameters that are neither lengths nor angles nor logarithms."""
-RADIUS_TOLERANCE = 0.03
-"""Relative standard deviation of the indenter's radius, which readings cannot tell from E*. Chosen:
-0.3 mm of 10 mm, as a worn or printed indenter has it."""
 
 
 @dataclass(frozen=True)
@@ -260,6 +257,7 @@ class GlobalParameters:
             "gain": "gain of each taxel within a factor {:.3g} of 1 (1 sigma)",
             "offset": "offset of each taxel 0 +- {:.3g} Pa",
             "drift": "drift of each taxel's offset during the recording 0 +- {:.3g} Pa",
+            "skew": "patches 0 +- {:.3g} m behind the contacts when a taxel is read",
         }
         return tuple(
             text.format(np.exp(sigma[name]) if name in LOGARITHMS else sigma[name])
@@ -267,12 +265,13 @@ class GlobalParameters:
             if name in sigma
         )
 
-    def with_nuisance(self, peak: float) -> GlobalParameters:
-        """These parameters, and a gain and an offset of each taxel.
+    def with_nuisance(self, peak: float, more: Collection[str] = ()) -> GlobalParameters:
+        """These parameters, and a gain and an offset of each taxel, and `more` of NUISANCE.
 
         Those that are not declared get the default priors; `peak`, Pa, is the reference peak.
         """
-        sigma = {"gain": PRIORS["gain"], "offset": PRIORS["offset"] * peak}
+        own = "gain", "offset", *more
+        sigma = {name: PRIORS[name] * nuisance_unit(name, peak) for name in own}
         sigma |= zip(self.nuisance_names, self.nuisance_sigma, strict=True)
         names = tuple(name for name in NUISANCE if name in sigma)
         values = tuple(sigma[name] for name in names)
@@ -281,6 +280,11 @@ class GlobalParameters:
     def value(self, name: str, s: Array, group: int = 0) -> float:
         """The entry of a scalar parameter, of a group, in s (ks,); 0 if it is not declared."""
         return float(s[self.columns_of(group)[name]][0]) if name in self.names else 0.0
+
+
+def nuisance_unit(name: str, pressure: float) -> float:
+    """Unit of a parameter of NUISANCE where pressures are in units of `pressure`, Pa."""
+    return pressure if name in ("offset", "drift") else 1.0
 
 
 def declared_parameters(
@@ -341,14 +345,3 @@ def natural_units(
             unit = UNITS.get(name, "rad" if "rotation" in label else "m")
             out[label] = value, sigma, unit
     return out
-
-
-def radius_deviation(belief: Belief, curvature: Array) -> float:
-    """Standard deviation of ln E* by that of the indenter's radius R, at contacts with principal
-    curvatures (m, 2), 1/m.
-
-    The width of a Hertz patch depends on E* (1/R + k), k being the body's mean curvature, so that
-    ln E* changes by ln R times 1 / (1 + R k).
-    """
-    bend = belief.indenter.radius * curvature.mean(axis=1)
-    return RADIUS_TOLERANCE * float(np.median(1 / np.maximum(1 + bend, 0.1)))

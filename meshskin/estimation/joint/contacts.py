@@ -334,7 +334,7 @@ class LinearizedContacts:
         log_scale = self.parameters.value("force_scale", s) + self._drift(s)
         return np.asarray(np.exp(log_scale) * self.recorded.force)
 
-    def _drift(self, s: Array) -> Array:
-        """Drift (m,), or 0, of ln F of the measured forces."""
-        at = self.parameters.columns.get("force_drift", slice(0, 0))
-        return self.recorded.drifts[:, : at.stop - at.start] @ self._clipped(s)[at]
+    def _drift(self, s: Array) -> Array | float:
+        """Drift (m,) of ln F of the measured forces; 0 without one."""
+        at = self.parameters.columns.get("force_drift")
+        return 0.0 if at is None else self.recorded.drifts @ self._clipped(s)[at]

@@ -20,7 +20,7 @@ from itertools import islice
 import numpy as np
 
 from ...core.arrays import Array, sums_by_group
-from ..data.global_parameters import DRIFT_SIZE
+from ..data.global_parameters import DRIFT_SIZE, LATE
 from ..data.measurements import Measurements
 from .coupled_system import CoupledSystem, inner
 from .electronics import WIDTH, Electronics
@@ -85,9 +85,9 @@ class FittedReadings:
 
     def scores(self) -> dict[str, tuple[float, Array]]:
         """Score of each departure, in standard deviations, and the start of its parameters; the
-        largest first, but last the drift, for which each of the others can stand in."""
-        drift = self._each(self.data.phase[self.readings.contact])
-        n = max(int(np.sum(drift != 0)), 1)
+        largest first, but last those of each taxel, for which each of the others can stand in."""
+        late = self.moved(self.data.headway[:, :, None])[:, 0]
+        own = zip(LATE, (self.data.phase[self.readings.contact], late), strict=True)
         found, candidates = dict[str, tuple[float, Array]](), self._candidates()
         while few := list(islice(candidates, TOGETHER)):
             names, each, starts = zip(*few, strict=True)
@@ -104,7 +104,7 @@ class FittedReadings:
                 if name not in found or score > found[name][0]:
                     found[name] = score, start
         largest_first = dict(sorted(found.items(), key=lambda item: -item[1][0]))
-        return largest_first | {"drift": (float((drift @ drift - n) / np.sqrt(2 * n)), np.zeros(0))}
+        return largest_first | {name: (self._variance_score(x), np.zeros(0)) for name, x in own}
 
     def _candidates(self) -> Iterator[tuple[str, Array, Array]]:
         """Departures that all taxels share, with the derivatives (k, q) of the readings in their
@@ -153,11 +153,13 @@ class FittedReadings:
         """Derivatives (k, 3) of the readings in displacements of their taxels."""
         return np.einsum("kia,ak->ki", self.tangents[self.readings.taxel], self.own[:2])
 
-    def _each(self, column: Array) -> Array:
-        """Scores (n,) of a parameter that each taxel has of its own, with the derivatives
-        `column` (k,) of the readings; 0 where the readings do not determine it."""
+    def _variance_score(self, column: Array) -> float:
+        """Score of the variance of a parameter that each taxel has of its own, with the derivatives
+        `column` (k,) of the readings; of taxels whose readings determine it."""
         slope, information = self.each(column)
-        return np.asarray(slope * (information > 1e-9) / np.sqrt(np.maximum(information, 1e-9)))
+        seen = information > 1e-9
+        square = slope[seen] ** 2 / information[seen]
+        return float(np.sum(square - 1) / max(2 * len(square), 1) ** 0.5)
 
     def shared(self, columns: Array) -> tuple[Array, Array]:
         """Derivative (q,) of the log-likelihood in parameters that all taxels share, with the

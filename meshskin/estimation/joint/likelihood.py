@@ -15,6 +15,7 @@ import numpy as np
 
 from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
+from ..data.global_parameters import nuisance_unit
 from ..data.measurements import Measurements
 from .contact_state import Contacts
 from .pressure import OBSERVED, corrected_means, costs, disc_means
@@ -92,10 +93,10 @@ class Likelihood:
 
     @property
     def nuisance_sigma(self) -> tuple[float, ...]:
-        """Prior standard deviations of ln gain, and of offset and drift in units of the noise."""
-        unit = {"gain": 1.0, "offset": self.data.sigma, "drift": self.data.sigma}
-        p = self.data.parameters
-        return tuple(s / unit[n] for n, s in zip(p.nuisance_names, p.nuisance_sigma, strict=True))
+        """Prior standard deviations of NUISANCE; of pressures in units of the noise."""
+        p, unit = self.data.parameters, self.data.sigma
+        both = zip(p.nuisance_names, p.nuisance_sigma, strict=True)
+        return tuple(sigma / nuisance_unit(name, unit) for name, sigma in both)
 
     def groups(self, taxels: np.ndarray) -> np.ndarray | int:
         """Groups of some taxels, as `Measurements.groups`; 0 where there is one."""
@@ -219,7 +220,7 @@ class Likelihood:
             jacobian[first + at.start : first + at.stop] = drifts.T / data.sigma
             mu = mu + drifts @ contacts.s[at] / data.sigma
         for row, name in enumerate(names):
-            if name != "gain":
+            if name in ("offset", "drift"):
                 added = data.phase[contact] if name == "drift" else np.ones(len(mu))
                 mu, jacobian[3 + row] = mu + added * nuisance[:, row], added
         return mu, jacobian
@@ -231,6 +232,8 @@ class Likelihood:
         of one group; writes their derivatives into `out`, as of `predict`."""
         data, names = self.data, self.data.parameters.nuisance_names
         offset = points - contacts.points[contact]
+        if "skew" in names:
+            offset = offset + nuisance[:, [names.index("skew")]] * data.headway[contact]
         columns, first = data.parameters.columns_of(contacts.group), 3 + len(names)
         means, features = disc_means(data.model.name, offset, contact, contacts, data.disc), None
         if "profile" in columns:
@@ -245,6 +248,9 @@ class Likelihood:
             out[3 + names.index("gain")] = amplified * peak * mean
         mu = peak * mean
         out[:3] = peak * by_point.T
+        if "skew" in names:
+            along = np.einsum("ik,ki->k", out[:3], data.headway[contact])
+            out[3 + names.index("skew")] = along
         by_shape = tuple(peak * by for by in by_shape)
         if contacts.moves is not None:  # a motion of the contact's frame is the taxel's, reversed
             wrench = np.concatenate([by_point, np.cross(offset, by_point)], 1) * peak[:, None]

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from ...core.arrays import Array, spread_rows
+from ...scene.belief import Belief
 from .. import chart
-from ..data.global_parameters import RADIUS_TOLERANCE, radius_deviation
 from ..data.measurements import Measurements
 from ..result import CENSORING, MOSTLY_OUTLIERS, SURFACE, EstimatorResult
 from ..trilateration import trilaterate
@@ -33,6 +33,9 @@ WIDENED = (
 )
 """Factor of an estimate whose test of fit fails."""
 ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring contacts"
+RADIUS_TOLERANCE = 0.03
+"""Relative standard deviation of the indenter's radius, which readings cannot tell from E*. Chosen:
+0.3 mm of 10 mm, as a worn or printed indenter has it."""
 RADIUS = "indenter radius within {:.0%} (1 sigma), which widens the standard deviation of E*"
 UNDECLARED_GAINS = "gain and offset of each taxel, undeclared: without them taxels misfit"
 
@@ -221,3 +224,14 @@ def model_dependence(estimator: JointEstimator, fit: GoodnessOfFit, least: float
     apart[np.linalg.norm(apart, axis=1) < least] = 0.0
     square = chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
     return np.asarray((1 - 1 / fit.reduced) * square)
+
+
+def radius_deviation(belief: Belief, curvature: Array) -> float:
+    """Standard deviation of ln E* by that of the indenter's radius R, at contacts with principal
+    curvatures (m, 2), 1/m.
+
+    The width of a Hertz patch depends on E* (1/R + k), k being the body's mean curvature, so that
+    ln E* changes by ln R times 1 / (1 + R k).
+    """
+    bend = belief.indenter.radius * curvature.mean(axis=1)
+    return RADIUS_TOLERANCE * float(np.median(1 / np.maximum(1 + bend, 0.1)))

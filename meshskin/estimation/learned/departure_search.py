@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from ...core.arrays import Array
-from ..data.global_parameters import ELECTRONICS, PRIORS
+from ..data.global_parameters import ELECTRONICS, LATE, PRIORS, nuisance_unit
 from ..joint.departures import FILTER_SHARE, MIN_SCORE
 from ..joint.leaks import Leaks, crosstalk_score, leaking_pairs
 from ..joint.parametrization import Unknowns
@@ -77,7 +77,8 @@ def with_departures(
 ) -> tuple[RandomEffects, dict[str, float], bool]:
     """The estimate with what the readings show beyond the response, the scores of other departures,
     but for those that make the readings hardly more likely, and whether the search came to an end:
-    it does not where one does not converge, as with a response of another kind.
+    it does not where the last one, or two in turn, do not converge, as with a response of another
+    kind.
 
     effects: at its optimum; begin: the unknowns and deviations that it began with; excluded:
     departures that are not estimated, to which all of the electronics join once each of these has
@@ -85,19 +86,19 @@ def with_departures(
     groups where the belief declares none.
     """
     unlikely, failed, lost = set[str](), set(excluded), set[str]()
-    spent = 0
+    spent, settled = 0, True
     while True:
         found = _scores(effects)
         left = {name: score for name, (score, _) in found.items() if name not in unlikely}
         shown = [name for name in left if left[name] > MIN_SCORE and name not in failed]
         if not shown or spent > MAX_SPENT:
             rest = {name: left[name] for name in left if name != GROUPS}
-            return effects, rest, not shown
+            return effects, rest, not shown and settled
         name, start, before = shown[0], found[shown[0]][1], effects.stage.done
         extended, first, converged = _with_departure(effects, begin, name, start)
         gain = _objective(effects) - _objective(extended) if converged is not None else -np.inf
-        # a small departure of this kind gains half its squared score; the drift's is a variance's
-        least = LEAST_GAIN * left[name] ** 2 / 2 if name != "drift" else 0.0
+        # a small departure gains half its squared score; LATE have that of a variance
+        least = LEAST_GAIN * left[name] ** 2 / 2 if name not in LATE else 0.0
         reached = plausible(extended, name)
         if not (reached and gain > least):
             spent += effects.stage.done - before
@@ -113,9 +114,10 @@ def with_departures(
             failed = set(excluded)
         else:
             unlikely.add(name)
-        if not converged:  # further departures would not correct it
+        if not (converged or settled):  # further departures would not correct it
             rest = {other: left[other] for other in left if other not in (name, GROUPS)}
             return effects, rest, False
+        settled = bool(converged)
 
 
 def _with_departure(
@@ -214,7 +216,11 @@ def _scores(effects: RandomEffects) -> dict[str, tuple[float, Array]]:
     if effects.data.parameters.groups == 1:
         groups = response_groups(fitted)
         found = {GROUPS: (groups.score, groups.second), **found}
-    return dict(sorted(found.items(), key=lambda item: (item[0] == "drift", -item[1][0])))
+    rank = {name: score for name, (score, _) in found.items()}
+    for name in rank.keys() & set(LATE):  # in all taxels alike another one can stand in for it
+        excess = max(rank[name], 0.0) * (2 * len(fitted.points)) ** 0.5
+        rank[name] = (excess / 2) ** 0.5
+    return {name: found[name] for name in sorted(found, key=lambda name: -rank[name])}
 
 
 def _objective(effects: RandomEffects) -> float:
@@ -251,8 +257,8 @@ def _extended(
         p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, own))
         u = replace(u, s=np.append(u.s, start))
     else:
-        peak = effects.data.nominal_peak
-        nuisance = (*p.nuisance_sigma, sigma * peak)
+        sigma *= nuisance_unit(name, effects.data.nominal_peak)
+        nuisance = (*p.nuisance_sigma, sigma)
         p = replace(p, nuisance_names=(*p.nuisance_names, name), nuisance_sigma=nuisance)
         u = replace(u, nuisance=np.column_stack([u.nuisance, np.zeros(len(u.nuisance))]))
     data, (readings, pattern) = replace(effects.data, parameters=p, belief=belief), effects.selected

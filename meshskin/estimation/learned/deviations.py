@@ -43,6 +43,7 @@ FLOOR = {
     "gain": 1e-4,
     "offset": 1e-3,
     "drift": 1e-3,
+    "skew": 1e-6,
 }
 """Least deviations: far below what any recording can tell from zero."""
 UNMEASURED_FORCE = 0.3
@@ -91,6 +92,8 @@ class Deviations:
     """Of a taxel's offset, in units of `Measurements.sigma`."""
     drift: float = 1.0
     """Of the offset's drift over the recording, in units of `Measurements.sigma`."""
+    skew: float = 1e-4
+    """Of the distance of the patches behind the contacts when a taxel is read, m."""
     least_force: float = FLOOR["force"]
     """Least `force` above HELD_FORCE; UNMEASURED_FORCE where the forces were not measured."""
 

@@ -30,6 +30,7 @@ from ..data.global_parameters import (
     PRIORS,
     SIZES,
     declared_parameters,
+    nuisance_unit,
 )  # fmt: skip
 from ..data.measurements import Measurements
 from ..data.patch_shape import over_edges
@@ -287,8 +288,7 @@ def _frozen(effects: RandomEffects, live: np.ndarray, weight: Array) -> JointEst
     observed = effects.readings.kind == OBSERVED
     noise = float(np.sqrt(np.mean(effects.spread[observed] ** 2))) * data.sigma
     names = data.parameters.nuisance_names
-    units = np.array([1.0 if name == "gain" else data.sigma for name in names])
-    sigma = tuple(getattr(d, name) * unit for name, unit in zip(names, units, strict=True))
+    sigma = tuple(getattr(d, name) * nuisance_unit(name, data.sigma) for name in names)
     frozen = replace(
         data,
         noise=noise,
@@ -296,7 +296,7 @@ def _frozen(effects: RandomEffects, live: np.ndarray, weight: Array) -> JointEst
         contact_errors=u.errors,
         parameters=replace(data.parameters, nuisance_sigma=sigma),
     )
-    nuisance = u.nuisance * np.where(units == 1.0, 1.0, data.sigma / noise)
+    nuisance = u.nuisance * [nuisance_unit(name, data.sigma / noise) for name in names]
     estimator = JointEstimator(
         frozen, live, u.parametrization, weight.copy(), 1, shared=u.s, nuisance=nuisance,
         stage=effects.stage,

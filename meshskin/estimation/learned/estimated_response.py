@@ -44,7 +44,8 @@ def learned_response(
         hysteresis=_hysteresis(effects),
         crosstalk=data.parameters.value("crosstalk", s),
         leaking=1.0 if data.leaks is None else float(data.leaks.weight.mean()),
-        drift=_drift(effects),
+        drift=_own(effects, "drift") * data.sigma * data.unit,
+        skew=_own(effects, "skew"),
         creep=_creep(effects),
         gain_drift=float(np.expm1(_common_drift(effects, "gain_drift"))),
         offset_drift=_common_drift(effects, "offset_drift") * nominal,
@@ -118,8 +119,7 @@ def _common_drift(effects: RandomEffects, name: str) -> float:
     return float(np.ptp(effects.data.drifts @ effects.unknowns.s[columns[name]]))
 
 
-def _drift(effects: RandomEffects) -> float:
-    """Standard deviation of the offsets' drift, in the unit of the readings."""
-    if "drift" not in effects.data.parameters.nuisance_names:
-        return 0.0
-    return effects.deviations.drift * effects.data.sigma * effects.data.unit
+def _own(effects: RandomEffects, name: str) -> float:
+    """Deviation of a parameter that each taxel has, where it is estimated; else 0."""
+    estimated = name in effects.data.parameters.nuisance_names
+    return float(getattr(effects.deviations, name)) if estimated else 0.0

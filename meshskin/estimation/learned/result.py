@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.arrays import Array, spread_rows
 from ..chart import tangential_square
-from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION
+from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION, nuisance_unit
 from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
 from ..joint.joint_estimator import MAX_CHI2, JointEstimator
@@ -199,12 +199,12 @@ def _own_misfit(effects: RandomEffects) -> Array:
 def _taxel_unknowns(
     effects: RandomEffects, live: np.ndarray, covariance: Array
 ) -> dict[str, Array]:
-    """Gain, offset and drift of all taxels with their standard deviations (., 2), by name;
+    """NUISANCE of all taxels with their standard deviations (., 2), by name;
     covariance (n, D, D): of the taxels `live` (n,)."""
     data, found = effects.data, {}
     deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     for k, name in enumerate(data.parameters.nuisance_names):
-        unit = 1.0 if name == "gain" else data.sigma * data.unit
+        unit = nuisance_unit(name, data.sigma * data.unit)
         values = effects.unknowns.nuisance[:, k] * unit, deviation[:, 2 + k] * unit
         parts = zip(values, (np.nan, np.inf), strict=True)
         spread = [spread_rows(part, live, len(data.ids), missing) for part, missing in parts]

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ...estimation.calibration import Calibration
-from ...estimation.data.global_parameters import natural_units, radius_deviation
+from ...estimation.data.global_parameters import natural_units
+from ...estimation.joint.optimum import radius_deviation
 from ...estimation.online.status import DONE, KEEP_GOING
 from ...estimation.uncertainty.verdict import PASS
 from .. import theme

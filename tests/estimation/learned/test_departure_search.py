@@ -68,13 +68,24 @@ def test_lost_departures_of_the_electronics_are_not_tried_again(monkeypatch, hel
 
 
 @pytest.mark.parametrize("converged", [True, False])
-def test_a_search_ends_but_where_a_departure_does_not_converge(monkeypatch, converged):
-    scores = {"drag": 20.0, "friction": 15.0}
+def test_a_search_ends_but_where_two_departures_do_not_converge(monkeypatch, converged):
+    scores = {"drag": 20.0, "friction": 15.0, "creep": 12.0}
     (found, left, ended), tried = searched(monkeypatch, scores, lambda name: (converged, 1e3))
     assert ended is converged
-    assert tried == (["drag", "friction"] if converged else ["drag"])
-    assert left == ({} if converged else {"friction": 15.0})
-    assert found.objective == (-2e3 if converged else -1e3)
+    assert tried == ["drag", "friction", "creep"][: 3 if converged else 2]
+    assert left == ({} if converged else {"creep": 12.0})
+    assert found.objective == (-3e3 if converged else -2e3)
+
+
+@pytest.mark.parametrize("last", [True, False])
+def test_a_departure_that_another_brings_to_rest(monkeypatch, last):
+    scores = {"drag": 20.0, "skew": 15.0}
+    (_, left, ended), tried = searched(
+        monkeypatch, scores, lambda name: (last and name == "skew", 1e3)
+    )
+    assert tried == ["drag", "skew"]
+    assert ended is last
+    assert left == {}
 
 
 @pytest.mark.parametrize("lost", [True, False])
