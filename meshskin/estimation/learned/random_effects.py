@@ -60,8 +60,9 @@ HUBER = 4.0
 """Residual, in standard deviations, from which a reading's cost grows linearly: 6e-5 of the sound
 ones exceed it."""
 PROPORTIONAL = 5.0
-"""Expected increase of the restricted likelihood by a variance below which the noise may grow with
-the reading: before, what the effects do not explain yet would pass for it."""
+"""Expected increase of the restricted likelihood by a variance below which the noise may begin to
+grow with the reading: before, what the effects do not explain yet would pass for it. From then on
+it does: the constant part alone would take over the other, and both would grow in turn."""
 MOVE_TOLERANCE, TOLERANCE = 0.05, 0.2
 """RMS move of the taxels, in standard deviations, and expected increase of the logarithm of the
 restricted likelihood by a variance, at which steps end."""
@@ -325,14 +326,13 @@ class RandomEffects:
             "profile": (s @ s, len(s)),
         }
         squares |= {name: (np.sum(u.nuisance[:, k] ** 2), taxels) for k, name in enumerate(names)}
-        moved, largest = d.moved(
-            {
-                name: posterior.effects(name, float(square) / getattr(d, name) ** 2, count)
-                for name, (square, count) in squares.items()
-            },
-            careful=len(self.iterates) > USUAL_ITERATIONS,
-        )
-        self.deviations = self._with_noise(moved, 2 if largest < PROPORTIONAL else 1)
+        effects = {
+            name: posterior.effects(name, float(square) / getattr(d, name) ** 2, count)
+            for name, (square, count) in squares.items()
+        }
+        moved, largest = d.moved(effects, careful=len(self.iterates) > USUAL_ITERATIONS)
+        both = largest < PROPORTIONAL or d.relative > 0
+        self.deviations = self._with_noise(moved, 2 if both else 1)
         return np.inf if abs(np.log(self.deviations.noise / d.noise)) > NOISE_TOLERANCE else largest
 
     def clear(self) -> np.ndarray:

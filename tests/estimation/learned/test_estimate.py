@@ -259,6 +259,19 @@ def test_noise_does_not_fall_before_its_share_in_the_residuals_is_known(monkeypa
     assert noise[-1] < noise[0]
 
 
+def test_noise_that_grows_with_the_reading_comes_to_rest():
+    """Its constant part and the other one grew in turn."""
+
+    def read(pressure, rng):
+        return pressure * (1 + 0.05 * rng.standard_normal(pressure.shape))
+
+    found = calibrate(recording(*world(hertz, read=read)), belief(contact="learned"))
+    assert len(found.iterates) < 40
+    assert found.response.noise_relative == pytest.approx(0.05, rel=0.1)
+    assert found.response.noise == pytest.approx(0.01 * PEAK, rel=0.2)
+    assert found.verdict.level == "PASS"
+
+
 def test_scatter_of_the_contact_points_is_found():
     log = recording(*world(hertz, scatter=0.3e-3))
     learned = calibrate(log, belief())
