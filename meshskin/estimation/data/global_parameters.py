@@ -21,9 +21,9 @@ from ...core.arrays import Array
 from ...core.errors import UnknownNameError
 from ...scene.contact_motion import ContactMotion
 
-DRIFT_SIZE = 4
+DRIFT_SIZE = 6
 """Entries of a drift that all taxels share: Legendre polynomials of the time from the first degree
-on. Warming with three time constants during the recording leaves 0.3 % of its rise."""
+on. They leave 0.8 % of the range of one period of a sine, and less of warming."""
 SIZES = {
     "modulus": 1,
     "force_scale": 1,
@@ -69,8 +69,8 @@ PRIORS = {
     "hysteresis": 1.0,
     "crosstalk": 0.3,
     "creep": 1.0,
-    "gain_drift": 0.3,
-    "offset_drift": 0.3,
+    "gain_drift": 0.1,
+    "offset_drift": 0.1,
     "force_drift": 0.1,
     "gain": 0.3,
     "offset": 0.3,
