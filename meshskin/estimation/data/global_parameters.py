@@ -21,9 +21,9 @@ from ...core.arrays import Array
 from ...core.errors import UnknownNameError
 from ...scene.contact_motion import ContactMotion
 
-DRIFT_SIZE = 4
+DRIFT_SIZE = 6
 """Entries of a drift that all taxels share: Legendre polynomials of the time from the first degree
-on. Warming with three time constants during the recording leaves 0.3 % of its rise."""
+on. They leave 0.8 % of the range of one period of a sine, and less of warming."""
 DRIFTS = ("gain_drift", "offset_drift", "force_drift")
 """Drifts of the logarithm of the gain and of the offset of all taxels, and of the logarithm of the
 true over the measured forces, estimated where the readings show them."""
@@ -70,8 +70,8 @@ PRIORS = {
     "hysteresis": 1.0,
     "crosstalk": 0.3,
     "creep": 1.0,
-    **dict.fromkeys((*DRIFTS, *NUISANCE), 0.3),
-    "force_drift": 0.1,
+    **dict.fromkeys(DRIFTS, 0.1),
+    **dict.fromkeys(("gain", "offset", "drift"), 0.3),
     "skew": 1e-3,
 }
 """Default standard deviations of the priors: of the logarithms of modulus, force scale and gain; of

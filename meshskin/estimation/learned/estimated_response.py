@@ -16,6 +16,8 @@ from ..result import LearnedResponse
 from .contact_correlations import AlikeErrors, force_scatter, neighbour_correlation
 from .random_effects import RandomEffects
 
+END = 0.02
+"""Part of the recording, at both ends, whose drifts are not stated."""
 SAMPLES = 60
 """Distances at which the profile is stated, and levels of the response."""
 
@@ -112,11 +114,13 @@ def _creep(effects: RandomEffects) -> tuple[float, float]:
 
 
 def _common_drift(effects: RandomEffects, name: str) -> float:
-    """Largest change during the recording of the drift `name` of all taxels."""
+    """Largest change of the drift `name` of all taxels within the recording but for its ends, where
+    few contacts determine the polynomials."""
     columns = effects.data.parameters.columns
     if name not in columns:
         return 0.0
-    return float(np.ptp(effects.data.drifts @ effects.unknowns.s[columns[name]]))
+    inner = np.abs(effects.data.phase - 0.5) < 0.5 - END
+    return float(np.ptp(effects.data.drifts[inner] @ effects.unknowns.s[columns[name]]))
 
 
 def _own(effects: RandomEffects, name: str) -> float:

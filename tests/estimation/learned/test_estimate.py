@@ -279,6 +279,21 @@ def test_noise_that_grows_with_the_reading_comes_to_rest():
     assert found.verdict.level == "PASS"
 
 
+@pytest.mark.parametrize("seed", [2, 3])
+def test_gains_that_rise_and_fall_during_the_recording(seed):
+    """By one period of a sine, from 0.9 to 1.1."""
+
+    def read(pressure, rng):
+        phase = np.linspace(0.0, 2 * np.pi, len(pressure))[:, None]
+        return pressure * (1 + 0.1 * np.sin(phase))
+
+    found = calibrate(recording(*world(seed=seed, read=read)), belief(contact="learned"))
+    rms, stated = errors(found)
+    assert found.response.gain_drift == pytest.approx(0.22, rel=0.2)
+    assert found.response.force_drift < 0.03
+    assert 0.8 < stated / rms < 1.25
+
+
 def test_scatter_of_the_contact_points_is_found():
     log = recording(*world(hertz, scatter=0.3e-3))
     learned = calibrate(log, belief())
