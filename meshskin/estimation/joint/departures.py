@@ -45,6 +45,9 @@ TIMES = (0.03, 0.1, 0.4, 1.5, 6.0)
 """Time constants of creep that are tried, in units of creep.TIME."""
 ONE_SIDED = ("friction", "hysteresis")
 """Departures whose parameter is positive."""
+PAIRED = 1e-12
+"""Least variance of the sum over pairs of readings of a contact, as a share of that of all: its
+rounding, where hardly a contact has two readings, is below it."""
 SEEN = 1e-6
 """Least information on a parameter, relative to that with known taxels: rounding is below it."""
 FILTER_SHARE = 0.9
@@ -336,10 +339,11 @@ def contact_score(estimator: JointEstimator) -> float:
     product = jacobian[:, used] * (np.sqrt(readings.precision) * estimator.residuals())[used]
     found = []
     for rows in (slice(0, 2), slice(2, 3)):
-        excess = variance = 0.0
+        excess, variance = 0.0, 1e-300
         for x in product[rows]:
             squares = np.bincount(owner, x**2, m)
+            pairs = squares**2 - np.bincount(owner, x**4, m)
             excess += float(np.sum(np.bincount(owner, x, m) ** 2 - squares))
-            variance += 2 * float(np.sum(squares**2 - np.bincount(owner, x**4, m)))
-        found.append(excess / max(variance, 1e-300) ** 0.5)
+            variance += 2 * float(max(np.sum(pairs), PAIRED * np.sum(squares**2)))
+        found.append(excess / variance**0.5)
     return max(found)

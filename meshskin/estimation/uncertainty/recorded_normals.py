@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...recording.recording import JOINT_ANGLES
+from ..data.patch_shape import unevenness
 from ..data.unit_checks import angles
 from . import verdict
 from .verdict import PASS, Finding, level_of
@@ -27,6 +28,9 @@ STRAYS = 0.05
 """Part of the contacts, those with the normals farthest from the regression, that do not tell how
 both turn: on a patch where they turn by 0.1 rad, 9 of 3,184 contacts on the way over an edge, 80
 degrees off, halved the ratio."""
+BESIDE_EDGE = 0.5e-3
+"""Distance, m, from an edge of the body within which the normal of the surface does not count: an
+error of the place, or of the body, of this order takes it from one face to the other."""
 MIN_TURN = 0.03
 """Spread of the surface's normals along a direction, rad, from which turns along it count."""
 
@@ -38,7 +42,11 @@ def findings(recording: Recording, data: Measurements) -> list[Finding]:
     computed = recording.metadata.get("source") == JOINT_ANGLES  # the normals are the surface's
     if computed or len(rows) < verdict.MIN_CONTACTS:
         return []
-    hit, normals = data.body.closest(recording.points[rows]), recording.normals[rows]
+    hit = data.body.closest(recording.points[rows])
+    apart = unevenness(data.belief, hit, BESIDE_EDGE) == 0
+    if apart.sum() < verdict.MIN_CONTACTS:
+        return []
+    hit, normals = hit.take(apart), recording.normals[rows[apart]]
     typical = float(np.degrees(np.median(angles(hit, normals))))
     turn, axis = least_turn(hit.normal, normals)
     if (level := level_of(-turn, NORMAL_TURNS)) != PASS:

@@ -10,7 +10,8 @@ import pytest
 import meshskin as ms
 from meshskin.core import se3
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.joint.departures import FittedReadings
+from meshskin.estimation.joint.departures import FittedReadings, contact_score
+from meshskin.estimation.joint.pressure import OBSERVED
 from meshskin.recording.recording import Recording
 
 CONTACTS = 500
@@ -110,3 +111,31 @@ def test_readings_without_weight_determine_no_parameter():
     slope, information = fitted.shared(np.ones((4, 3)))
     assert not slope.any()
     assert not information.any()
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_single_pair_of_readings_in_one_contact_tells_no_errors_of_contacts(seed):
+    """As on a skin whose taxels are farther apart than a patch is wide."""
+    rng, count = np.random.default_rng(seed), 1000
+    jacobian = 3e4 * rng.normal(size=(3, count + 1))
+    jacobian[:, -1] *= 1e-9  # the second reading of contact 0 is beside its patch
+    ones = np.ones(count + 1)
+    readings = SimpleNamespace(
+        kind=np.full(count + 1, OBSERVED), weight=ones, precision=ones,
+        contact=np.append(np.arange(count), 0),
+    )  # fmt: skip
+    estimator = SimpleNamespace(
+        problem=SimpleNamespace(
+            contacts=SimpleNamespace(with_errors=lambda s, errors: None),
+            nuisance=lambda z, taxels: None,
+            parametrization=SimpleNamespace(count=1),
+            points=lambda state: None,
+        ),
+        state=SimpleNamespace(s=None, z=None),
+        data=SimpleNamespace(points=np.zeros((count, 3))),
+        likelihood=SimpleNamespace(
+            readings=readings, derivatives=lambda points, nuisance, contacts: jacobian
+        ),
+        residuals=lambda: rng.normal(size=count + 1),
+    )
+    assert abs(contact_score(estimator)) < 1.5

@@ -371,3 +371,17 @@ def test_a_mirrored_axis_shows_on_a_patch_that_hardly_turns(share):
     assert turn == pytest.approx(-1.0, abs=0.1)
     assert abs(axis[0]) > 0.99
     assert least_turn(surface, surface + rng.normal(0, 2e-3, surface.shape))[0] > 0.9
+
+
+def test_contacts_at_the_edge_of_a_plate_accuse_no_frame(noisy):
+    body = ms.Body.from_mesh(trimesh.creation.box((0.08, 0.06, 0.02)))
+    region = Cap(direction=(0.0, 0.0, 1.0))
+    scene = noisy.with_(body=body, skin=ms.Skin.cover(body, spacing=5e-3, count=20, region=region))
+    near = np.repeat(scene.skin.positions, 25, axis=0)
+    rng = np.random.default_rng(1)
+    flat = near + rng.uniform(-4e-3, 4e-3, near.shape) * [1.0, 1.0, 0.0]
+    beside = np.repeat([[0.04, 0.0, 0.0099]], 20, axis=0)  # 0.1 mm below the edge
+    places = np.concatenate([flat, beside])
+    made = ms.press(scene, places, force=rng.uniform(2.5, 3.5, len(places)), seed=1)
+    made = with_normals(made, np.repeat([[0.0, 0.0, 1.0]], len(made.points), axis=0))
+    assert ms.calibrate(made, scene.belief()).verdict.level == "PASS"
