@@ -116,7 +116,7 @@ class Estimation:
             covariance = observability.pose_covariance(result.covariance, shape)
         observed = observability.degrees_of_freedom(covariance, float(np.median(data.radii)))
         covariance = covariance + systematic_covariance(
-            self._near, result.unknowns, result.rotations, shape, result.jump
+            self._near, result.unknowns, result.points, result.rotations, shape, result.jump
         )
         weak = np.asarray(~observed.any(axis=1))
         points = np.where(weak[:, None], np.nan, result.points)

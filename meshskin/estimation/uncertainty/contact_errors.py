@@ -19,7 +19,7 @@ from ...core.arrays import Array, means_by_group
 from ..data import delay
 from ..data.registration import CELL, MIN_SCATTER
 from ..trilateration.displacements import surface_motion
-from . import swapped_axes
+from . import sheets, swapped_axes
 from .tilts import tilts
 
 if TYPE_CHECKING:
@@ -54,15 +54,16 @@ explain them as well: 2 for that frame, 80 for dents of 0.1 mm under a skin of e
 def systematic_covariance(
     data: Measurements,
     unknowns: Mapping[str, tuple[float, float]],
+    places: Array,
     rotations: Array,
     shape: Array,
     jump: Array | None = None,
 ) -> Array:
     """What these errors add to the covariances (n, 6, 6) of the taxels' poses, taxel frame.
 
-    unknowns: estimated global parameters, whose offsets may explain the distances. rotations
-    (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators; jump (3,), m: displacement of
-    the contacts in a part of the recording.
+    unknowns: estimated global parameters, whose offsets may explain the distances. places (n, 3),
+    m, and rotations (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators; jump (3,), m:
+    displacement of the contacts in a part of the recording.
     """
     points, middles = nearer_points(data, unknowns), _middles(data)
     hit, tangents = data.body.closest(points), rotations[:, :, :2]
@@ -83,7 +84,7 @@ def systematic_covariance(
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
     out[:, 2, 2] += _normal_variance(data, hit.distance) + data.belief.surface_sigma**2
     out[:, 2, 2] += np.einsum("ni,ni->n", rotations[:, :, 2], swapped) ** 2
-    return out
+    return out + sheets.covariance(data.body, places, rotations[:, :, 2])
 
 
 LEAST_HEIGHT = 0.1

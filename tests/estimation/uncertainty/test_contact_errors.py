@@ -103,10 +103,10 @@ def test_exact_contact_points_add_nothing(noisy, log):
     found = ms.calibrate(log, noisy.belief())
     shape = np.tile(10 * np.eye(2), (len(found.ids), 1, 1))
     data, rotations = gather(log, noisy.belief()), found.poses[:, :3, :3]
-    more = contact_errors.systematic_covariance(data, {}, rotations, shape)
+    more = contact_errors.systematic_covariance(data, {}, found.positions, rotations, shape)
     assert np.abs(more).max() < 1e-20
     declared = replace(data, belief=noisy.belief(surface_sigma=2e-4))
-    more = contact_errors.systematic_covariance(declared, {}, rotations, shape)
+    more = contact_errors.systematic_covariance(declared, {}, found.positions, rotations, shape)
     assert more[:, 2, 2] == pytest.approx(4e-8)
 
 
@@ -186,9 +186,10 @@ def test_estimated_offsets_explain_distances(noisy, log):
     unknowns = {k: (v, 1e-5) for k, v in zip(labels, [*shift, *turn], strict=True)}
     rotations = np.tile(np.eye(3), (len(data.ids), 1, 1))
     shape = np.tile(10 * np.eye(2), (len(data.ids), 1, 1))
-    left = contact_errors.systematic_covariance(data, unknowns, rotations, shape)
+    places = np.full((len(data.ids), 3), np.nan)
+    left = contact_errors.systematic_covariance(data, unknowns, places, rotations, shape)
     assert np.abs(left).max() < 1e-20
-    alone = contact_errors.systematic_covariance(data, {}, rotations, shape)
+    alone = contact_errors.systematic_covariance(data, {}, places, rotations, shape)
     assert np.sqrt(alone[:, 0, 0]).mean() > 0.5e-3
 
 

@@ -1,0 +1,50 @@
+"""Another sheet of the body under or over a taxel widens its position along the normal."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import meshskin as ms
+from meshskin.core.se3 import transform
+from meshskin.estimation.uncertainty import sheets
+from meshskin.geometry.region import Cap
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def box(size, top):
+    """A box (3,), m, whose upper face is at a height, m."""
+    return trimesh.creation.box(size, transform(np.eye(3), (top - size[2] / 2) * UP))
+
+
+@pytest.fixture(scope="module")
+def lid():
+    """A box, and in it a smaller one whose upper face is 0.4 mm below the other's."""
+    parts = box((0.08, 0.06, 0.02), 0.0), box((0.04, 0.03, 0.01), -0.4e-3)
+    return ms.Body.from_mesh(trimesh.util.concatenate(parts))
+
+
+def test_a_sheet_below_and_a_sheet_above(lid):
+    places = np.array([[0.0, 0.0, 0.0], [0.01, 0.01, -0.4e-3], [0.03, 0.02, 0.0], [np.nan] * 3])
+    found = np.sqrt(sheets.covariance(lid, places, np.tile(UP, (4, 1))))
+    assert found[:, 2, 2] == pytest.approx([0.4e-3, 0.4e-3, 0.0, 0.0], abs=1e-8)
+    assert found[:, 3, 3] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_other_face_of_a_thin_plate_is_no_such_sheet():
+    plate = ms.Body.from_mesh(box((0.08, 0.06, 0.6e-3), 0.0))
+    assert np.abs(sheets.covariance(plate, np.zeros((1, 3)), UP[None])).max() < 1e-15
+
+
+def test_it_is_in_the_covariance_of_a_taxel(lid, noisy):
+    region = Cap(direction=UP)
+    skin = ms.Skin.cover(lid, spacing=5e-3, count=12, region=region)
+    scene = noisy.with_(body=lid, skin=skin)
+    near = np.repeat(skin.positions, 12, axis=0)
+    rng = np.random.default_rng(1)
+    places = near + rng.uniform(-4e-3, 4e-3, near.shape) * [1.0, 1.0, 0.0]
+    made = ms.press(scene, places, force=rng.uniform(2.5, 3.5, len(places)), seed=1)
+    found = ms.calibrate(made, scene.belief())
+    over = (np.abs(skin.positions[:, :2]) < [0.019, 0.014]).all(axis=1)
+    assert over.sum() > 5
+    assert np.sqrt(found.covariances[over, 2, 2]) == pytest.approx(0.4e-3, rel=1e-3)
