@@ -2,9 +2,10 @@
 
 A taxel that was touched from one side only, or along a line, may have two optima: its position and
 the mirror image on the other side of its contacts. A covariance describes one optimum and does not
-know of the other. So a taxel whose contacts leave a wide sector of directions open is started again
-from the mirror image and from a ring about its contacts, with the global parameters fixed. Optima
-that fit better replace the estimate; those that fit nearly as well are its rivals.
+know of the other. So a taxel whose contacts leave a wide sector of directions open, or whose
+readings misfit, is started again from the mirror image and from a ring about its contacts, with the
+global parameters fixed. Optima that fit better replace the estimate; those that fit nearly as well
+are its rivals.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ T = TypeVar("T")
 OPEN_SECTOR = np.radians(150.0)
 """Angle between the directions from a taxel to neighbouring contacts up to which its optimum is
 unique: it lies among its contacts. All rivals found on robot links had more than 190 degrees."""
+MISFIT = 3.0
+"""Cost of a taxel's readings beyond that of noise, in standard deviations, above which it may be at
+a wrong optimum, among its contacts or not: on a rounded edge of a robot link one was 3 mm off."""
 FACING = 0.5
 """Mean cosine between the normals at a taxel and at its contacts below which all directions are
 open: the taxel is on another face, whose tangent plane does not show where the contacts are."""
@@ -112,12 +116,14 @@ def find_rivals(estimator: JointEstimator, among: np.ndarray | None = None) -> R
     if not isinstance(estimator.problem.parametrization, SurfaceParametrization):
         return best
     points = estimator.problem.points(estimator.state)
-    wide = open_sectors(estimator, points) > OPEN_SECTOR
-    rows = np.flatnonzero(wide if among is None else wide & among)
+    read, moments = estimator.likelihood.readings, estimator.state.moments
+    count = np.bincount(read.taxel[read.kind == OBSERVED], minlength=n)
+    variance = float(moments.square.sum()) / max(int(count.sum()), 1)
+    noise = max(variance, 1.0) * (count / 2 + MISFIT * np.sqrt(count / 2))
+    doubtful = (open_sectors(estimator, points) > OPEN_SECTOR) | (moments.cost > noise)
+    rows = np.flatnonzero(doubtful if among is None else doubtful & among)
     if not len(rows):
         return best
-    observed = estimator.likelihood.readings.kind == OBSERVED
-    variance = float(estimator.state.moments.square.sum()) / max(int(observed.sum()), 1)
     if estimator.data.noise is not None and variance > MAX_VARIANCE:
         return best
     limit = MAX_LOG_ODDS * max(variance, 1.0)

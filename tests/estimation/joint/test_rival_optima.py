@@ -93,6 +93,23 @@ def test_taxels_among_their_contacts_have_no_rivals(noisy, noisy_recording):
     assert not np.isfinite(calibration.rivals).any()
 
 
+def test_a_wrong_optimum_among_the_contacts_is_left(noisy, noisy_recording):
+    """Its readings misfit, though contacts surround it."""
+    data = gather(noisy_recording, noisy.belief())
+    places, row = noisy.skin.positions.copy(), 40
+    places[row] = noisy.body.closest(places[[row]] + 1.5e-3 * noisy.skin.poses[[row], :3, 0]).point
+    parametrization = SurfaceParametrization(
+        charts_at(data.body, places), float(np.median(data.radii)) / 2
+    )
+    live = np.arange(len(data.ids))
+    estimator = JointEstimator(data, live, parametrization, np.ones(len(data.pressure)), 30)
+    assert open_sectors(estimator, places)[row] < rival_optima.OPEN_SECTOR
+    rivals = find_rivals(estimator)
+    assert rivals.log_odds[row] < -100.0
+    assert np.linalg.norm(rivals.points[row] - noisy.skin.positions[row]) < 0.1e-3
+    assert not np.isfinite(np.delete(rivals.log_odds, row)).any()
+
+
 def test_rivals_are_saved(line, tmp_path):
     _, calibration, _ = line
     calibration.save(tmp_path / "calibration")
