@@ -19,7 +19,7 @@ import numpy as np
 
 from ..core.arrays import Array
 from ..core.errors import EdgeError, LoopError, PlaceError, ReachError
-from ..core.se3 import interpolate, log_so3, poses_of_states
+from ..core.se3 import interpolate, inverse, log_so3, poses_of_states, transform
 from ..scene.settings import Exploration
 from . import transfer
 from .closed_loop_model import state_of_pose
@@ -65,6 +65,8 @@ class ExplorationStateMachine:
         no arm."""
         self.forces = forces
         """Reference force (places,), N; None: that of the law."""
+        vertices = simulator.body.surface.vertices
+        self._middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self.place, self.row = 0, 0
         self.phase = APPROACH
         self.explored = False
@@ -235,7 +237,7 @@ class ExplorationStateMachine:
         low = poses_of_states(simulator.state[None])[0]
         high, over = self._clear_poses(low, goal)
         for self.phase, start, end in ((LEAVE, low, high), (NEXT, high, over), (NEXT, over, goal)):
-            poses = _blend(start, end, simulator.loop.dt)
+            poses = _blend(start, end, simulator.loop.dt, self._middle)
             yield simulator.move(state_of_pose(poses), self.phase)
 
     def _clear_poses(self, low: Array, goal: Array) -> tuple[Array, Array]:
@@ -254,14 +256,15 @@ class ExplorationStateMachine:
             high, over = _raised(low, lift * up), _raised(goal, (lift - standoff) * up)
             rises = rises and simulator.is_clear(_blend(low, high, dt), leaving=True)
             descends = descends and simulator.is_clear(_blend(over, goal, dt))
-            if rises and descends and simulator.is_clear(_blend(high, over, dt)):
+            turned = _blend(high, over, dt, self._middle)
+            if rises and descends and simulator.is_clear(turned):
                 return high, over
             highs += [high] if rises else []
             overs += [over] if descends else []
         pairs = [(h, o) for h in highs[-1:] for o in overs]
         pairs += [(h, o) for h in highs for o in overs[-1:]]
         for high, over in pairs:
-            if simulator.is_clear(_blend(high, over, dt)):
+            if simulator.is_clear(_blend(high, over, dt, self._middle)):
                 return high, over
         raise PlaceError(
             "the body meets the indenter on every path through the air",
@@ -308,11 +311,17 @@ def _raised(pose: Array, shift: Array) -> Array:
     return raised
 
 
-def _blend(start: Array, end: Array, dt: float) -> Array:
-    """Poses (k, 4, 4) from one to another, one a step, with a speed of half a sine wave."""
+def _blend(start: Array, end: Array, dt: float, middle: Array | None = None) -> Array:
+    """Poses (k, 4, 4) from one to another, one a step, with a speed of half a sine wave.
+
+    middle (3,), m, body frame: what moves on a straight line, and the body turns about; by default
+    its origin, which may be far from it.
+    """
+    carried = transform(np.eye(3), np.zeros(3) if middle is None else middle)
+    start, end = start @ carried, end @ carried
     angle = float(np.linalg.norm(log_so3(end[:3, :3] @ start[:3, :3].T)))
     distance = float(np.linalg.norm(end[:3, 3] - start[:3, 3]))
     time = 0.5 * np.pi * max(distance / AIR_SPEED, angle / AIR_TURN_RATE)
     count = max(int(np.ceil(time / dt)), 2)
     part = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, count))
-    return interpolate(start, end, part)
+    return np.asarray(interpolate(start, end, part) @ inverse(carried))

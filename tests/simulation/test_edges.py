@@ -118,3 +118,21 @@ def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
     calls.update(slides=0, fail=range(1, 10**6))
     with pytest.raises(PlaceError, match="edge"):
         explore([track])
+
+
+def test_a_body_far_from_its_origin_turns_about_its_middle(sphere):
+    """From one face of a box to the next, the origin moves along a circle, not the body."""
+
+    def duration(offset):
+        box = trimesh.creation.box((0.05, 0.04, 0.03))
+        box.apply_translation([0.0, offset, 0.0])
+        body = Body.from_mesh(box)
+        scene = sphere.with_(
+            body=body,
+            skin=Skin.cover(body, spacing=12e-3, seed=1),
+            loop=replace(sphere.loop, mode="quasi_static"),
+            exploration=replace(sphere.exploration, pattern="lanes", lane_spacing=8e-3),
+        )
+        return simulate(scene, seed=1).time[-1]
+
+    assert duration(2.0) == pytest.approx(duration(0.0), rel=0.1)
