@@ -30,6 +30,9 @@ ENCIRCLING = 0.8
 """Width of a region, relative to the body's, from which lanes may go round the body."""
 OVERLAP = 0.5
 """Distance from the other lanes of one family, relative to the spacing, at which a lane ends."""
+OPPOSITE = -0.5
+"""Cosine between the normals of two places below which they are on opposite sides: no contact
+presses both (`contact.reading.same_sheet`)."""
 EMPTY_LANES = 4
 """Consecutive lanes outside the region after which a side is finished."""
 MIN_SPACING = 0.05
@@ -86,40 +89,58 @@ class PointCloud:
 class Coverage:
     """The region that is to be covered, and the lanes so far."""
 
-    def __init__(self, sites: Array, radius: float, duplicate: float) -> None:
-        """The region is within `radius`, m, of the sites (n, 3); samples of lanes less than
-        `duplicate`, m, from earlier ones are duplicates.
+    def __init__(self, sites: Closest, radius: float, duplicate: float) -> None:
+        """The region is within `radius`, m, of the sites; samples of lanes less than `duplicate`,
+        m, from earlier ones are duplicates.
         """
-        self._sites, self._radius, self._duplicate = PointCloud(sites), radius, duplicate
-        self.width = float(np.linalg.norm(np.ptp(sites, axis=0))) + 2.0 * radius
+        self._side = radius if _has_two_sides(sites, radius) else 0.0
+        self._radius, self._duplicate = radius, duplicate
+        self._sites = PointCloud(self.places(sites))
+        self.width = float(np.linalg.norm(np.ptp(sites.point, axis=0))) + 2.0 * radius
         """Diagonal of the region's bounding box, m."""
         self.samples = PointCloud()
         """Samples of the lanes so far."""
 
-    def contains(self, points: Array) -> NDArray[np.bool_]:
-        """Which points (k, 3) are in the region."""
-        return self._sites.distance(points) <= self._radius
+    def places(self, at: Closest) -> Array:
+        """Points (k, 3), m, whose distances count; where the region has two sides, (k, 6), with
+        normals so long that those on the other side of a plate are not near."""
+        return np.hstack([at.point, self._side * at.normal]) if self._side else at.point
 
-    def lacks(self, points: Array) -> NDArray[np.bool_]:
-        """Which points (k, 3) are in the region and on none of the lanes so far."""
-        return self.contains(points) & (
+    def lacks(self, at: Closest) -> NDArray[np.bool_]:
+        """Which points (k,) are in the region and on none of the lanes so far."""
+        points = self.places(at)
+        return (self._sites.distance(points) <= self._radius) & (
             self.samples.distance(points, 2.0 * self._duplicate) > self._duplicate
         )
 
-    def add(self, lane: list[Closest], step: float) -> list[NDArray[np.bool_]]:
-        """Add a lane; which samples of its chains are in the region and not covered before."""
+    def add(self, lane: list[Closest], step: float, gap: int) -> list[Closest]:
+        """Add the pieces of a lane in the region that were not covered before, joined over gaps of
+        up to `gap` samples, and longer."""
         if not lane:
             return []
-        points = np.concatenate([chain.point for chain in lane])
-        new = self.lacks(points)
+        whole = Closest.concatenate(lane)
+        points, new = self.places(whole), self.lacks(whole)
         # of a lane that returns to itself the earlier samples count
         pairs = PointCloud(points).pairs(self._duplicate)
         back = pairs[pairs[:, 1] - pairs[:, 0] > 3.0 * self._duplicate / step]
         for early, late in back[np.argsort(back[:, 0], kind="stable")]:
             if new[early]:
                 new[late] = False
-        self.samples.add(points[new])
-        return np.split(new, np.cumsum([len(chain.point) for chain in lane])[:-1])
+        ends = np.cumsum([len(chain.point) for chain in lane])
+        pieces = []
+        for first, end in zip((0, *ends), ends, strict=False):
+            for run in _runs(new[first:end], gap):
+                if run.stop - run.start > gap:
+                    rows = np.arange(first + run.start, first + run.stop)
+                    self.samples.add(points[rows[new[rows]]])
+                    pieces.append(whole.take(rows))
+        return pieces
+
+
+def _has_two_sides(sites: Closest, radius: float) -> bool:
+    """Whether sites that are at most `radius`, m, apart face opposite sides, as on a thin plate."""
+    one, two = PointCloud(sites.point).pairs(radius).T
+    return bool(np.any(np.einsum("ki,ki->k", sites.normal[one], sites.normal[two]) < OPPOSITE))
 
 
 def spacing_for(radius: float, contacts: float, step: float) -> float:
@@ -149,16 +170,18 @@ def cover(body: Body, sites: Array, spacing: float, radius: float, step: float) 
     spacing: of the lanes, m; radius: the region is within this distance, m, of a site; step:
     between samples, m.
     """
-    coverage = Coverage(sites, radius, DUPLICATE * spacing)
-    remaining = np.ones(len(sites), dtype=bool)
+    at = body.surface.nearest(sites)
+    coverage = Coverage(at, radius, DUPLICATE * spacing)
+    remaining, places = np.ones(len(sites), dtype=bool), coverage.places(at)
     pieces: list[Closest] = []
     for _ in range(MAX_FAMILIES):
         if not remaining.any():
             break
         start, directions = _start(body, sites[remaining])
         pieces += _family(body, start, directions, spacing, step, coverage)
-        distance = np.linalg.norm(sites - start, axis=1)
-        covered = np.minimum(coverage.samples.distance(sites), distance)
+        begin = coverage.places(body.surface.nearest(start[None]))
+        distance = np.linalg.norm(places - begin, axis=1)
+        covered = np.minimum(coverage.samples.distance(places), distance)
         remaining &= (covered > spacing) & (distance > distance[remaining].min())
     return pieces
 
@@ -210,7 +233,8 @@ def _traces(
     length = np.ones(count, dtype=int)
     going, closed = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
     for k in range(int(4.0 * body.surface.scale / step)):
-        point = next(trace)[0].point
+        at = next(trace)[0]
+        point = at.point
         going &= np.linalg.norm(point - points[-1], axis=1) >= MIN_ADVANCE * step
         points.append(point)
         length[going] += 1
@@ -218,7 +242,7 @@ def _traces(
             closed |= going & (np.linalg.norm(point - points[0], axis=1) < 0.75 * step)
             going &= ~closed
         if coverage is not None:
-            outside = np.where(coverage.lacks(point), 0, outside + 1)
+            outside = np.where(coverage.lacks(at), 0, outside + 1)
             going &= outside * step <= coverage.width
         if not going.any():
             break
@@ -247,32 +271,29 @@ def _family(
     first = [body.surface.nearest(_first_lane(body, start, directions, step, coverage))]
     gap, most = round(spacing / step), int(np.ceil(2.0 * body.surface.scale / spacing))
 
-    def pieces(lane: list[Closest]) -> list[Closest]:
-        new = coverage.add(lane, step)
-        cut = [chain.take(run) for chain, n in zip(lane, new, strict=True) for run in _runs(n, gap)]
-        return [piece for piece in cut if len(piece.point) > gap]
-
-    found = {0: pieces(first)}
-    earlier = PointCloud(first[0].point)
+    found = {0: coverage.add(first, step, gap)}
+    earlier = PointCloud(coverage.places(first[0]))
     for side in (-1, 1):
         lane, empty = first, 0
         for k in range(1, most):
             lane = _offset(body, lane, side * spacing, step)
-            lane = _without_overlap(lane, earlier, OVERLAP * spacing)
-            found[side * k] = pieces(lane)
+            lane = _without_overlap(lane, coverage, earlier, OVERLAP * spacing)
+            found[side * k] = coverage.add(lane, step, gap)
             empty = 0 if found[side * k] else empty + 1
             if not lane or empty == EMPTY_LANES:
                 break
     return [piece for k in sorted(found) for piece in found[k]]
 
 
-def _without_overlap(lane: list[Closest], earlier: PointCloud, distance: float) -> list[Closest]:
+def _without_overlap(
+    lane: list[Closest], coverage: Coverage, earlier: PointCloud, distance: float
+) -> list[Closest]:
     """A lane without the samples less than `distance`, m, from the chains in `earlier`, to which
     its own are added: chains that fold over a crease would else multiply.
     """
     if not lane:
         return []
-    points = np.concatenate([chain.point for chain in lane])
+    points = coverage.places(Closest.concatenate(lane))
     chain_of = np.repeat(np.arange(len(lane)), [len(chain.point) for chain in lane])
     near = earlier.distance(points, distance) < distance
     early, late = PointCloud(points).pairs(distance).T

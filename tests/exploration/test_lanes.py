@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import cKDTree
 
 from meshskin.exploration.lane_plan import _sparse, region_radius
@@ -155,3 +156,15 @@ def test_postures_are_sought_at_both_ends_of_a_path_and_where_the_normal_turns()
     normals[20:] = np.stack([np.sin(angle), np.zeros(10), np.cos(angle)], axis=1)
     rows = _sparse(points, normals, np.array([0, 8]))
     np.testing.assert_array_equal(rows, [0, 3, 6, 7, 8, 11, 14, 17, *range(20, 30)])
+
+
+def test_both_faces_of_a_thin_plate_have_lanes():
+    """Lanes on one face do not count on the other, which is less than their spacing away."""
+    body = Body.from_mesh(trimesh.creation.box((0.04, 0.03, 1e-3)))
+    x, y, z = np.meshgrid(np.linspace(-15e-3, 15e-3, 6), np.linspace(-1e-2, 1e-2, 5), [-1, 1])
+    sites = np.column_stack([x.ravel(), y.ravel(), 0.5e-3 * z.ravel()])
+    points = np.concatenate([p.point for p in cover(body, sites, 2e-3, 3e-3, 0.4e-3)])
+    for face in (-1, 1):
+        own = points[points[:, 2] * face > 0.49e-3]
+        apart = PointCloud(own).distance(sites[sites[:, 2] * face > 0])
+        assert apart.max() < 2e-3

@@ -31,6 +31,9 @@ too: at lighter touches, as those of an approach, a taxel may lie beside the sma
 force that gives it is 0.73 times as large."""
 SAME_SHEET = 0.5
 """Least cosine of the angle between normals of contacts on the same side of a plate."""
+NO_EDGE = 0.97
+"""Least cosine of the angle between normals of contacts that lie beside each other with no edge
+between, 14 degrees: a taxel that answers one may face away from the other where it is less."""
 MAX_UNANSWERED = 0.2
 """Fraction of unanswered contacts beside answered ones from which the log is refused: scatter of
 the contact points of a quarter of their radius leaves it below 0.02."""
@@ -111,7 +114,7 @@ def unanswered_contacts(data: Measurements) -> tuple[np.ndarray, np.ndarray]:
         cosine = np.einsum("mi,mi->m", data.normals[rest], data.normals[nearest])
         radius = data.radii[rest]
         near = (gap < BESIDE * radius) & (radius > AS_LARGE * data.radii[nearest])
-        beside[rest] = near & (cosine > SAME_SHEET)
+        beside[rest] = near & (cosine > NO_EDGE)
     return beside, beside & (strongest < SILENT * typical)
 
 

@@ -82,15 +82,20 @@ class PoseGraph(Value):
         """(tau, kappa), (m,) each: 3 / tr(inv(I_t)) and 3 / (2 tr(inv(I_R))), 0 where singular.
 
         The information need not be positive semidefinite as (6, 6): the rest of it is not used.
-        A block whose inverse has a negative trace has the weight 0, with a warning that counts
-        these displacements.
+        A block whose inverse has a negative trace has the weight 0; where that of an indefinite
+        block is positive, the weight may be far too large. Warnings count these displacements.
         Source: Rosen et al., "SE-Sync", IJRR 38 (2019), section 6.
         """
-        tau, kappa, negative = validation.chordal_weights(self.information)
+        tau, kappa, negative, indefinite = validation.chordal_weights(self.information)
         self._warn(
             negative,
             "has a translation or rotation block that is not positive semidefinite: its chordal "
             "weight is zero",
+        )
+        self._warn(
+            indefinite,
+            "has an indefinite translation or rotation block: its chordal weight, by the trace of "
+            "the inverse, may be far too large",
         )
         return tau, kappa
 

@@ -89,7 +89,7 @@ STARTS = {"chordal": chordal, "tree": tree, "origin": origin}
 
 def initial_weights(graph: PoseGraph) -> tuple[Array, Array]:
     """(tau, kappa), (m,) each: chordal weights, where singular the mean of the information."""
-    tau, kappa, _ = chordal_weights(graph.information)
+    tau, kappa, *_ = chordal_weights(graph.information)
     for weight, block, factor in ((tau, slice(0, 3), 1.0), (kappa, slice(3, 6), 0.5)):
         rows = np.flatnonzero(weight == 0.0)
         values = np.linalg.eigvalsh(graph.information[rows, block, block])

@@ -128,20 +128,24 @@ def project_to_semidefinite(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
     return projected, indefinite
 
 
-def chordal_weights(information: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """tau, kappa and which blocks of `information` (m, 6, 6) have an inverse of negative trace.
+def chordal_weights(
+    information: Array,
+) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """tau, kappa, and which of `information` (m, 6, 6) have a block whose inverse has a negative
+    trace, and which one that is indefinite and whose inverse has a positive one.
 
     tau = 3 / tr(inv(I_t)) and kappa = 3 / (2 tr(inv(I_R))), (m,) each; 0 where the block is
     singular or the trace is negative.
     Source: Rosen et al., "SE-Sync", IJRR 38 (2019), section 6.
     """
-    translation, no_translation = _inverse_trace(information[:, :3, :3])
-    rotation, no_rotation = _inverse_trace(information[:, 3:, 3:])
-    return 3.0 * translation, 1.5 * rotation, no_translation | no_rotation
+    translation, no_translation, odd = _inverse_trace(information[:, :3, :3])
+    rotation, no_rotation, strange = _inverse_trace(information[:, 3:, 3:])
+    return 3.0 * translation, 1.5 * rotation, no_translation | no_rotation, odd | strange
 
 
-def _inverse_trace(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """1 / tr(inv(M)) of symmetric `matrices` (m, 3, 3), and where it is negative.
+def _inverse_trace(matrices: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """1 / tr(inv(M)) of symmetric `matrices` (m, 3, 3), where it is negative, and where it is
+    positive though M is indefinite.
 
     0 where it is negative or M is singular.
     """
@@ -150,7 +154,9 @@ def _inverse_trace(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
     singular = size.min(axis=1) <= SINGULAR * size.max(axis=1)
     trace = np.sum(1.0 / np.where(singular[:, None], 1.0, values), axis=1)
     negative = trace <= 0.0
-    return np.where(singular | negative, 0.0, 1.0 / np.where(negative, 1.0, trace)), negative
+    indefinite = ~(singular | negative) & (values[:, 0] < 0.0)
+    inverse = np.where(singular | negative, 0.0, 1.0 / np.where(negative, 1.0, trace))
+    return inverse, negative, indefinite
 
 
 def check_finite(message: str, item: str, array: Array) -> None:

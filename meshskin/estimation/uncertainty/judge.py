@@ -148,7 +148,7 @@ def _departures(
     if calibration.fit is not None and calibration.fit.good is not False:
         words += ": its standard deviations can be too small"
     if calibration.response is None and data.belief.module_slots is None:
-        words += '; let it learn the response: contact="auto" or "learned"'
+        words += '; let it learn the response: contact="learned"'
     return [(DOUBT, words)]
 
 
@@ -254,7 +254,7 @@ def _edges(data: Measurements) -> list[Finding]:
     words = (
         f"{count} of {all_contacts} contacts are over edges of the body (limit {MAX_EDGES:.0%}), "
         "where the contact model does not hold: whether it holds elsewhere is not tested; let it "
-        'learn the response: contact="auto" or "learned"; or believe a smoother body'
+        'learn the response: contact="learned"; or believe a smoother body'
     )
     return [(DOUBT, words)]
 

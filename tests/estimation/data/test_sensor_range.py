@@ -1,11 +1,13 @@
 """What readings alone show of the sensors: those that were lost."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.data.sensor_range import MAX_LOST
+from meshskin.estimation.data.sensor_range import MAX_LOST, unanswered_contacts
 
 from ..learned.test_estimate import PEAK, belief, errors, hertz, recording, world
 
@@ -52,3 +54,18 @@ def test_the_fraction_of_lost_readings(sound):
     assert gather(kept(sound, single), belief()).lost == pytest.approx(0.2, abs=0.03)
     few = kept(sound, lambda rng, contact, taxel: rng.random(len(contact)) < MAX_LOST / 2)
     assert gather(few, belief()).lost == 0.0
+
+
+@pytest.mark.parametrize(("degrees", "counts"), [(0, True), (10, True), (25, False)])
+def test_a_contact_beyond_an_edge_need_not_be_answered(degrees, counts):
+    """The taxel that answers the contact beside it may face away."""
+    turn = np.radians(degrees)
+    data = SimpleNamespace(
+        points=np.array([[0.0, 0.0, 0.0], [3e-4, 0.0, 0.0]]),
+        normals=np.array([[0.0, 0.0, 1.0], [np.sin(turn), 0.0, np.cos(turn)]]),
+        radii=np.full(2, 3e-3), ids=np.array([7]), counts=np.array([1]),
+        contact=np.array([0]), taxel=np.array([0]), pressure=np.array([PEAK]),
+    )  # fmt: skip
+    beside, unanswered = unanswered_contacts(data)
+    assert beside.tolist() == [True, counts]
+    assert unanswered.tolist() == [False, counts]

@@ -124,6 +124,15 @@ def test_blocks_that_are_not_semidefinite_have_no_chordal_weight(skin_graph):
     assert (kappa > 0.0).all()
 
 
+def test_an_indefinite_block_with_a_large_chordal_weight_is_named(skin_graph):
+    graph, _ = skin_graph(30)
+    information = np.array(graph.information)
+    information[3, :3, :3] = np.diag([1.0, 1.0, -0.501]) * information[3, 0, 0]  # 1 + 1 - 2
+    with pytest.warns(RuntimeWarning, match=f"information of 1 of {len(graph.edges)} .* too large"):
+        tau, _ = with_information(graph, information).chordal_weights
+    assert tau[3] > 100 * tau[4]
+
+
 def test_file_round_trip(skin_graph, tmp_path):
     graph, _ = skin_graph(12)
     gaps = PoseGraph(
