@@ -25,7 +25,7 @@ from ..robot.contact_rig import ContactRig
 from ..robot.turntable import with_swivel
 from ..scene.scene import Scene
 from .lane_plan import STEP, posture_reasons, reachable_nodes, region_radius
-from .lanes import check_spacing, cover, evenly
+from .lanes import cover, evenly
 from .left_out import (
     NOT_COVERED,
     SPARSE,
@@ -36,6 +36,7 @@ from .left_out import (
 )
 from .path import Path, Plan
 from .pressing import lighter_note, lighter_rigs, pressed_lighter
+from .spacing import check_spacing
 
 CONTACTS = 8
 """Contacts per taxel that leave none of them with fewer than left_out.ENOUGH: on the paper's

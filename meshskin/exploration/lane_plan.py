@@ -19,7 +19,7 @@ from ..robot import collision, posture
 from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
-from .lanes import check_spacing, cover, spacing_for
+from .lanes import cover
 from .left_out import (
     NOT_COVERED,
     SPARSE,
@@ -32,6 +32,7 @@ from .left_out import (
 )
 from .path import Path, Plan
 from .pressing import grown_runs, lighter_helps, lighter_note, lighter_rigs, pressed_lighter
+from .spacing import check_spacing, spacing_for
 from .tour import ContactPath, arm_path, contact_paths, free_path
 
 STEP = 3e-3

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array, Index, runs
-from ..core.errors import ReachError
 from ..geometry.body import Body
 from ..geometry.geodesics import geodesic, onto
 from ..geometry.surface.closest_point import Closest
@@ -35,14 +34,6 @@ OPPOSITE = -0.5
 presses both (`contact.reading.same_sheet`)."""
 EMPTY_LANES = 4
 """Consecutive lanes outside the region after which a side is finished."""
-MIN_SPACING = 0.05
-"""Least spacing of lanes, relative to the sensing radius: a taxel then feels 1,000 contacts of that
-spacing, far more than the 20 to 100 that explorations have."""
-MAX_SPACING = 0.75
-"""Largest spacing of lanes, relative to the sensing radius. With wider ones some taxels get only
-the rims of contacts: for the same mean error they need 1.1 times the contacts of close lanes at
-0.75, 1.2 to 1.5 times at 0.85, 2 to 3 times at 0.9 (ellipsoid and capsule, by
-studies/contact_design.py)."""
 MAX_FAMILIES = 40
 """Most geodesics that are started in one region: a bound on the time; the studies' bodies need at
 most a dozen."""
@@ -141,27 +132,6 @@ def _has_two_sides(sites: Closest, radius: float) -> bool:
     """Whether sites that are at most `radius`, m, apart face opposite sides, as on a thin plate."""
     one, two = PointCloud(sites.point).pairs(radius).T
     return bool(np.any(np.einsum("ki,ki->k", sites.normal[one], sites.normal[two]) < OPPOSITE))
-
-
-def spacing_for(radius: float, contacts: float, step: float) -> float:
-    """Spacing of lanes, m, at which a taxel gets about `contacts` contacts, from two lanes or more.
-
-    radius: the sensing radius, m; step: between contacts along a lane, m. A taxel feels contacts on
-    an area pi radius^2.
-    """
-    return float(min(MAX_SPACING * radius, np.pi * radius**2 / (contacts * step)))
-
-
-def check_spacing(spacing: float, radius: float) -> None:
-    """Raise ReachError for lanes `spacing`, m, apart, closer than MIN_SPACING of a sensing radius,
-    m: the number of contacts grows with 1 / spacing^2."""
-    if spacing < MIN_SPACING * radius:
-        raise ReachError(
-            "the contacts of the exploration would be too close to one another",
-            value=f"lanes {1e3 * spacing:.2g} mm apart",
-            limit=f"{1e3 * MIN_SPACING * radius:.2g} mm, {MIN_SPACING:g} of what a taxel feels",
-            remedy="ask for fewer contacts or wider lanes, read the skin more often, or go slower",
-        )
 
 
 def cover(body: Body, sites: Array, spacing: float, radius: float, step: float) -> list[Closest]:

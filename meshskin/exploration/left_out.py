@@ -14,9 +14,9 @@ from ..robot import collision
 from ..scene.scene import Scene
 from ..skin.skin import Skin
 from . import reach
-from .lanes import MAX_SPACING
 from .path import ROWS, Path
 from .pressing import lighter_helps
+from .spacing import MAX_SPACING
 
 ENOUGH = 4
 """Fewest contacts near a taxel for it to count as covered: one more than trilateration needs."""

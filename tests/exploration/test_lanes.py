@@ -9,14 +9,13 @@ from scipy.spatial import cKDTree
 
 from meshskin.exploration.lane_plan import _sparse, region_radius
 from meshskin.exploration.lanes import (
-    MAX_SPACING,
     PointCloud,
     _offset,
     _traces,
     both_ways,
     cover,
-    spacing_for,
 )
+from meshskin.exploration.spacing import MAX_SPACING, spacing_for
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Cap
 from meshskin.skin.skin import Skin
