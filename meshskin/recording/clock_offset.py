@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array, runs
-from ..robot.contact_kinematics import unwrapped
+from ..robot.contact_kinematics import continuous_angles
 from .log_map import Pairs
 from .stream import JOINTS, WRENCH
 from .tare import Tared
@@ -111,7 +111,7 @@ def estimates(times: Array, skin: Tared, pairs: Pairs) -> tuple[ClockOffset, ...
         estimate = clock_offset(
             times, skin.readings, skin.noise, skin.in_contact,
             stream.times - (given.delay or 0.0),
-            states[:, whole] if by == "force" else unwrapped(states[:, whole]), by,
+            states[:, whole] if by == "force" else continuous_angles(states[:, whole]), by,
         )  # fmt: skip
         if estimate is not None:
             found.append(estimate)

@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from ..core.arrays import Array
 from ..core.errors import RecordingError
-from ..robot.contact_kinematics import JointPath, unwrapped
+from ..robot.contact_kinematics import JointPath
 from .recording import CONTACT_SCHEMA, JOINT_ANGLES, NOMINAL, READING_SCHEMA, Recording
 from .skin_log import SkinLog
 from .tare import SIGMA_PER_MAD
@@ -59,7 +59,7 @@ def joint_path(log: SkinLog, joint_names: tuple[str, ...]) -> JointPath:
             value=f"{known.sum()} of {len(log.time)} frames",
             remedy=f"check the joint {fewest}, which has fewest" if fewest else "",
         )
-    return JointPath(log.time[known], unwrapped(angles[known]))
+    return JointPath(log.time[known], angles[known])
 
 
 def contact_frames(log: SkinLog) -> np.ndarray:

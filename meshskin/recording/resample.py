@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..core.arguments import check_type
 from ..core.arrays import Array, nearest_rows
 from ..core.errors import ConfigError, RecordingError
-from ..robot.contact_kinematics import unwrapped
+from ..robot.contact_kinematics import continuous_angles
 from ..robot.robot import Robot
 from .clock_offset import ClockOffset, estimates, one_clock
 from .contact_force import contact_force, force_at_rest
@@ -246,7 +246,7 @@ def _joint(frames: Array, times: Array, angles: Array) -> Array:
     if known.sum() < 2:
         return np.full(len(frames), np.nan)
     own = Stream("", "", times[known], np.empty((int(known.sum()), 0)))
-    out = np.interp(frames, own.times, unwrapped(angles[known]), left=np.nan, right=np.nan)
+    out = np.interp(frames, own.times, continuous_angles(angles[known]), left=np.nan, right=np.nan)
     for gap in own.gaps:
         out[(frames > gap.start) & (frames < gap.end)] = np.nan
     return np.asarray(out)

@@ -72,7 +72,7 @@ TURN = 5.0
 2 pi less the 1.3 rad that a joint turns between two samples at most."""
 
 
-def unwrapped(angles: Array) -> Array:
+def continuous_angles(angles: Array) -> Array:
     """Angles (n, ...), rad, over time, of endless joints without the jumps by whole turns. Joints
     that go beyond one turn, or are in degrees, have none."""
     one = np.ptp(angles, axis=0) <= 2 * np.pi + 1e-6  # rounding
@@ -86,7 +86,7 @@ class JointPath:
     time: Array
     """Times (n,), s, increasing, of at least two samples."""
     angles: Array
-    """(n, k), rad, without jumps by whole turns (`unwrapped`)."""
+    """(n, k), rad; those of endless joints may jump by whole turns."""
 
     def at(self, time: Array, delays: Array | None = None) -> tuple[Array, Array]:
         """Angles (m, k), rad, and their rates, rad/s, at times (m,), s; of joints whose stamps are
@@ -116,8 +116,8 @@ class JointPath:
     def _spline(self):  # type: ignore[no-untyped-def]
         from scipy.interpolate import CubicHermiteSpline
 
-        rates = np.gradient(self.angles, self.time, axis=0)
-        return CubicHermiteSpline(self.time, self.angles, rates)
+        angles = continuous_angles(self.angles)
+        return CubicHermiteSpline(self.time, angles, np.gradient(angles, self.time, axis=0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,3 +105,13 @@ def test_a_centre_or_mount_of_another_shape():
 def test_names_without_deviations_are_refused_with_a_remedy():
     with pytest.raises(ConfigError, match=r'unknown=\{"joint_offset": 0.017\}'):
         kinematics(unknown=("joint_offset",))
+
+
+@pytest.mark.parametrize("start", [-np.pi, 0.0])
+def test_the_path_of_an_endless_joint_crosses_its_jump_by_a_turn(start):
+    time = np.arange(0.0, 20.0, 0.02)
+    wrapped = (0.7 * time - start) % (2 * np.pi) + start
+    angles, rates = JointPath(time, wrapped[:, None]).at(time[1:-2] + 0.013)
+    off = (angles[:, 0] - 0.7 * (time[1:-2] + 0.013)) / (2 * np.pi)
+    np.testing.assert_allclose(off, np.round(off[0]), atol=1e-9)
+    np.testing.assert_allclose(rates, 0.7, rtol=1e-6)
