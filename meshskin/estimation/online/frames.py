@@ -46,6 +46,10 @@ class ContactFrames(Value):
         points = np.atleast_2d(check_array("contact points", self.points, error=RecordingError))
         points = check_vectors("contact points", points, error=RecordingError)
         force = np.atleast_1d(check_array("contact forces", self.force, error=RecordingError))
+        if force.shape not in ((1,), (len(points),)):
+            raise RecordingError(
+                "forces of contact frames", value=f"shape {force.shape}", limit=f"({len(points)},)"
+            )
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "force", np.broadcast_to(force, len(points)))
         for name, shape in (
@@ -54,7 +58,7 @@ class ContactFrames(Value):
             ("errors", (len(points), 3)),
         ):
             if (value := getattr(self, name)) is not None:
-                value = np.asarray(value, dtype=float)
+                value = check_array(f"{name} of contact frames", value, error=RecordingError)
                 if value.ndim < len(shape):  # of one frame
                     value = value[None]
                 if value.shape != shape:
@@ -106,10 +110,10 @@ class RecordedFrames:
 
 def sparse(readings: Array, threshold: float) -> tuple[np.ndarray, np.ndarray, Array]:
     """Frame, taxel and pressure (k,) of the readings (B, n) that say more than that a taxel is
-    silent: those above `threshold`, Pa, and, as NaN, those that are lost or negative.
+    silent: those above `threshold`, Pa, and, as NaN, those that are not finite or negative.
     """
     with np.errstate(invalid="ignore"):
-        lost, read = ~(readings >= 0), readings > threshold
+        lost, read = ~((readings >= 0) & np.isfinite(readings)), readings > threshold
     frame, taxel = np.nonzero(lost | read)
     return frame, taxel, np.where(lost, np.nan, readings)[frame, taxel]
 

@@ -61,8 +61,9 @@ class OnlineCalibration:
 
     Verdicts, and the probability of a false alarm at any time of an exploration:
     - "model misfit": a chi-square test of the residuals (1e-3 in all, over all looks), or more than
-      5 % of the contacts rejected, or more than 20 % of the taxels misfitting. Covariances are
-      multiplied by the variance of the residuals then.
+      5 % of the contacts rejected, or more than 20 % of the taxels misfitting, or readings that
+      come some frames late (1e-3 at each look, from 100 contacts on), which only `calibrate`
+      corrects. Covariances are multiplied by the variance of the residuals then.
     - "moved since the last calibration": a taxel is elsewhere than in `previous`, by more than both
       uncertainties allow (1e-3 in all, over all looks and taxels).
     - "done": every taxel but the `unreachable` is determined, to `target_sigma`.
@@ -122,8 +123,9 @@ class OnlineCalibration:
         """
         check_type(ContactFrames, contacts, "contacts of an update")
         values = check_array("readings of an update", readings, error=RecordingError)
-        values = values.reshape(-1, values.shape[-1] if values.ndim else 1)
-        if values.shape != (len(contacts), len(self.ids)) and (values.size or len(contacts)):
+        wide = values.shape[-1] if values.ndim and values.size else len(self.ids)
+        values = values.reshape(-1, wide)
+        if values.shape != (len(contacts), len(self.ids)):
             raise RecordingError(
                 "an update needs a reading of every taxel in every frame",
                 value=f"shape {values.shape}",

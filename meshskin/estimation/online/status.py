@@ -10,6 +10,7 @@ import numpy as np
 from ...core.arrays import Array
 from ...core.value import Value
 from ..calibration import Calibration
+from ..data.delay import late_frames
 from ..data.resolve_belief import MAX_INVALID
 from ..uncertainty.judge import MAX_FAULTY
 from .next_touch import NextTouch
@@ -26,6 +27,9 @@ FIRST_LOOK = 30
 """Degrees of freedom, or contacts, at the first look of a test."""
 LOOK_STEP = 1.1
 """Growth of the data from one look to the next: a fault is seen a tenth later than it could be."""
+DELAY_CONTACTS, DELAY_STEP, LATEST = 100, 1.5, 500
+"""Contacts after which readings are tested for a delay first, their growth from one such look to
+the next, and the latest contacts by which it is seen, in 10 ms."""
 CONTRADICTED = "most of whose readings contradict all others"
 """Reason of a contact's rejection."""
 MIN_COUNT = 20
@@ -144,6 +148,9 @@ class Judge:
         """Why the model misfits, in words; "" where it does not."""
         self.moved = np.zeros(len(ids), dtype=bool)
         """Taxels (n,) that are elsewhere than before."""
+        self.late = 0
+        """Frames by which the readings come too late; negative: too early."""
+        self._delay_at = DELAY_CONTACTS
         self._fit_test, self._move_test = SequentialTest(), SequentialTest()
         self._before: tuple[Array, Array] | None = None
         if previous is not None:
@@ -155,14 +162,18 @@ class Judge:
             self._before = points, covariance
 
     def look(self, estimate: RunningEstimate, rejected: Counter[str]) -> None:
-        """Test fit and moves, where it is time to; rejected: numbers of the contacts that were left
-        out before, by reason."""
+        """Test delay, fit and moves, where it is time to; rejected: numbers of the contacts that
+        were left out before, by reason."""
+        self._look_for_delay(estimate)
         self._look_at_fit(estimate, rejected)
         self._look_for_moves(estimate)
 
     def verdict(self, sigma: Array, seen: np.ndarray) -> tuple[str, str]:
         """The verdict and its reason; sigma (n,): standard deviations, m, inf where not determined;
         seen (n,) bool: taxels with readings."""
+        if self.late:
+            words = f"{abs(self.late)} frames too {'late' if self.late > 0 else 'early'}"
+            return MISFIT, f"the readings come {words}, which ms.calibrate corrects"
         if self.misfit:
             return MISFIT, self.misfit
         if self.moved.any():
@@ -173,6 +184,14 @@ class Judge:
         unseen = int(np.sum(above & ~seen))
         words = f"{above.sum() - unseen} taxels are above the target, {unseen} were never read"
         return KEEP_GOING, words
+
+    def _look_for_delay(self, estimate: RunningEstimate) -> None:
+        store, drags = estimate.store, "drag" in estimate.parameters.names  # which looks alike
+        if store.count < self._delay_at or store.template.learned or drags:
+            return
+        self._delay_at = int(DELAY_STEP * store.count)
+        self.late = late_frames(store.latest(LATEST))
+        estimate.misfit = bool(self.misfit or self.late)
 
     def _look_at_fit(self, estimate: RunningEstimate, rejected: Counter[str]) -> None:
         contacts = rejected.total() + estimate.store.count
@@ -195,7 +214,7 @@ class Judge:
             self.misfit = f"{total} of {contacts} contacts are rejected, {of_these}{reason}"
         elif placed.sum() >= MIN_COUNT and unfit > MAX_FAULTY * placed.sum():
             self.misfit = f"the readings of {unfit} of {placed.sum()} taxels do not fit"
-        estimate.misfit = bool(self.misfit)
+        estimate.misfit = bool(self.misfit or self.late)
 
     def _look_for_moves(self, estimate: RunningEstimate) -> None:
         if self._before is None or not (level := self._move_test.look(estimate.store.count)):

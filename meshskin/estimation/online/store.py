@@ -166,9 +166,26 @@ class ContactStore:
                 table = table.append_column(name, pa.array(values))
         contact = np.argsort(order)[self.contact.values]
         rows = np.argsort(contact, kind="stable")
-        taxel = ids[self.taxel.values[rows]].astype(np.int32)
+        kind = np.promote_types(np.int32, np.min_scalar_type(ids.max()))  # of ids beyond 2^31, too
+        schema = READING_SCHEMA.set(1, pa.field("taxel", pa.from_numpy_dtype(kind)))
+        taxel = ids[self.taxel.values[rows]].astype(kind)
         readings = [time[contact[rows]], taxel, self.pressure.values[rows]]
-        return table, pa.table(readings, schema=READING_SCHEMA)
+        return table, pa.table(readings, schema=schema)
+
+    def latest(self, count: int) -> Measurements:
+        """Measurements of all taxels in the latest contacts, at most `count`."""
+        contacts = np.arange(max(self.count - count, 0), self.count)
+        rows = np.flatnonzero(self.contact.values >= contacts[0])
+        rows = rows[np.isfinite(self.pressure.values[rows])]
+        return replace(
+            self.template,
+            points=self.columns["points"].values[contacts],
+            time=self.columns["time"].values[contacts],
+            contact=self.contact.values[rows] - contacts[0],
+            taxel=self.taxel.values[rows],
+            pressure=self.pressure.values[rows],
+            threshold=self.threshold,
+        )
 
     def near(self, points: Array, radius: float) -> np.ndarray:
         """Contacts, rising, within `radius`, m, of any of the points (p, 3)."""

@@ -30,6 +30,11 @@ if TYPE_CHECKING:
 
 MIN_READINGS = 8
 """Least number of readings: four errors are estimated from them."""
+PER_CONTACT = (
+    "points", "normals", "directions", "curvature", "force", "headings", "contact_errors",
+    "unevenness", "time", "recorded",
+)  # fmt: skip
+"""Fields of `Measurements` with a row a contact, empty or None where it has none."""
 CONTACTS_PER_TAXEL = 5
 """Contacts per taxel that are used at most, evenly chosen: neighbouring frames of a sweep share
 their errors and say little more."""
@@ -57,7 +62,8 @@ def read(
             limit=f"at least {MIN_READINGS}", remedy="touch the skin at more places",
         )  # fmt: skip
     step = -(-len(data.points) // (CONTACTS_PER_TAXEL * len(known.ids)))
-    data = data if step == 1 else _thinned(data, step)
+    if step > 1:
+        data = _of_contacts(data, np.arange(len(data.points)) % step == 0)
     return touches_of(data, known, previous)
 
 
@@ -97,32 +103,24 @@ def _as_mapped(belief: Belief, previous: Calibration | Skin) -> Belief:
 
 def _turned(recording: Recording) -> Recording:
     """The recording with readings that rise with pressure, as those of a map's that fell."""
-    turned = recording.pressure.max(initial=0.0) - recording.pressure
+    sound = recording.pressure[np.isfinite(recording.pressure)]
+    turned = sound.max(initial=0.0) - recording.pressure
     at = recording.readings.column_names.index("pressure")
-    turned = arrow.column(turned + quantum(recording.pressure))
+    turned = arrow.column(turned + quantum(sound))
     return replace(recording, readings=recording.readings.set_column(at, "pressure", turned))
 
 
-def _thinned(data: Measurements, step: int) -> Measurements:
-    """Every step-th contact, with its readings."""
-    kept = np.arange(0, len(data.points), step)
-    row = np.full(len(data.points), -1)
-    row[kept] = np.arange(len(kept))
-    read = row[data.contact] >= 0
-    corrupt = data.corrupt[row[data.corrupt[:, 0]] >= 0].copy()
-    corrupt[:, 0] = row[corrupt[:, 0]]
+def _of_contacts(data: Measurements, kept: np.ndarray) -> Measurements:
+    """The contacts `kept` (m,) bool, with their readings and all else that they have."""
+    row, motion = np.cumsum(kept) - 1, data.parameters.motion
+    part, corrupt = data.select(kept[data.contact]), data.corrupt[kept[data.corrupt[:, 0]]]
+    columns = {name: getattr(data, name) for name in PER_CONTACT}
     return replace(
-        data,
-        points=data.points[kept],
-        normals=data.normals[kept],
-        directions=data.directions[kept],
-        curvature=data.curvature[kept],
-        force=data.force[kept],
-        unevenness=data.unevenness[kept] if len(data.unevenness) else data.unevenness,
-        patches=data.patches.take(kept),
-        time=data.time[kept],
-        contact=row[data.contact[read]],
-        taxel=data.taxel[read],
-        pressure=data.pressure[read],
-        corrupt=corrupt,
+        part,
+        **{name: x[kept] for name, x in columns.items() if x is not None and len(x)},
+        patches=data.patches.take(np.flatnonzero(kept)),
+        contact=row[part.contact],
+        corrupt=np.column_stack([row[corrupt[:, 0]], corrupt[:, 1]]),
+        unread=row[data.unread[kept[data.unread]]],
+        parameters=replace(data.parameters, motion=motion and motion.take(kept)),
     )

@@ -90,7 +90,7 @@ def next_touches(
 
     belief: as in `recalibrate`. units: numbers of the modules, or ids of the taxels, to test; by
     default all. progress("next touches", done, total): called after each of these. Raises
-    CalibrationError without a belief or its reference force, or for k < 1.
+    CalibrationError without a belief or its reference force, for k < 1 and for no units.
     """
     k = check_integer("number of touches", k, least=1, error=CalibrationError)
     own = getattr(previous, "belief", None)  # a skin has none
@@ -105,6 +105,12 @@ def next_touches(
     tested = np.arange(len(known.units)) if units is None else np.flatnonzero(
         np.isin(known.numbers, units)
     )  # fmt: skip
+    if not len(tested):
+        raise CalibrationError(
+            f"the earlier map has no such {known.noun} to test", value=units,
+            limit=f"{known.noun}s {known.numbers.min()} to {known.numbers.max()}",
+            remedy="give numbers of modules, or ids of single taxels; without units all are tested",
+        )  # fmt: skip
     touches = touches_of(_candidates(known, belief, tested), known, previous)
     stage = Stage(progress, "next touches", len(tested))
     touch, pair, factor, owner = _factors(touches, known, tested, stage)
@@ -154,6 +160,7 @@ def _candidates(known: SkinMap, belief: Belief, tested: np.ndarray) -> Measureme
         patches=reference_patches(belief, hit.curvature, modulus), model=contact_model(belief),
         contact=none, taxel=none, pressure=np.zeros(0), noise=belief.noise_sigma,
         threshold=belief.threshold, ends=np.full(len(known.ids), np.inf),
+        time=np.zeros(len(force)),  # before any drift
     )  # fmt: skip
 
 

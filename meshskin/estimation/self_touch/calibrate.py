@@ -20,6 +20,8 @@ ITERATIONS, USUAL_STEPS = 50, 10
 """Most Gauss-Newton steps, and what is usual: from mounts that are 30 mm off, ten converge."""
 CONVERGED = 1e-5
 """Largest step, m or rad, at which the estimate has converged: 10 um."""
+SETTLED = 1e-3
+"""Relative change of the scatter in a step at which it has converged."""
 CONTRADICTED = 3.0
 """Standard deviations of a prior from which an estimate contradicts it: 1 in 370 by chance."""
 UNDETERMINED = 0.9
@@ -118,8 +120,7 @@ def _fitted(
     weight, damping = prior[free] ** -2.0, 0.0
     for _ in range(ITERATIONS):
         matrix, gradient = _normal_equations(residual, slope[:, free], scatter)
-        matrix[np.diag_indices(len(matrix))] += weight
-        gradient = gradient + weight * value[free]
+        matrix, gradient = matrix + np.diag(weight), gradient + weight * value[free]
         cost = _cost(residual, value[free], weight, scatter)
         while True:
             step = np.zeros(len(prior))
@@ -130,21 +131,27 @@ def _fitted(
                 break
             damping = max(10.0 * damping, 1e-4)
             if damping > 1e6:
-                raise CalibrationError(
-                    "a self-touch does not converge",
-                    value=f"distance {1e3 * np.sqrt(3) * scatter:.3g} mm",
-                    remedy="start from nominal positions nearer to the true ones",
-                )
+                raise _not_converged(scatter)
         states, value, residual, slope = trial, value + step, new, new_slope
         damping /= 10.0
-        covariance: Array = np.linalg.inv(matrix).astype(float)
         # the touches' information without the prior, in the covariance after it
-        explained = len(covariance) - float(np.sum(weight * np.diag(covariance)))
-        scatter = _scatter(residual, explained)
+        explained = len(matrix) - float(np.sum(weight * np.diag(np.linalg.inv(matrix))))
+        before, scatter = scatter, _scatter(residual, explained)
         stage.step()
-        if np.abs(step).max() < CONVERGED:
+        if np.abs(step).max() < CONVERGED and abs(scatter - before) < SETTLED * scatter:
             break
-    return states, value, covariance, scatter
+    else:
+        raise _not_converged(scatter)
+    matrix = _normal_equations(residual, slope[:, free], scatter)[0] + np.diag(weight)
+    return states, value, np.linalg.inv(matrix).astype(float), scatter
+
+
+def _not_converged(scatter: float) -> CalibrationError:
+    return CalibrationError(
+        "a self-touch does not converge",
+        value=f"distance {1e3 * np.sqrt(3) * scatter:.3g} mm",
+        remedy="start from nominal positions nearer to the true ones",
+    )
 
 
 def _gap(

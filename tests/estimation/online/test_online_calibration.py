@@ -95,7 +95,7 @@ def test_lane_after_lane_it_stays_at_the_batch_estimate(world):
     contacts = ms.ContactFrames(world.points[lanes], world.force[lanes])
     online = run(world, contacts, recorded(world, 1)[lanes], block=1)
     batch = ms.calibrate(online.recording(), online.belief)
-    assert online.status.waiting == 0
+    assert (online.status.waiting, online.status.verdict) == (0, "done")
     assert np.isfinite(online.positions[:, 0]).sum() > 0.95 * len(world.ids)
     assert np.nanmax(sigmas_apart(online, batch)) < 0.006  # 0.0105 at a TOLERANCE of 0.003
 
@@ -258,6 +258,10 @@ def test_frames_of_another_shape_are_refused():
     one = ms.ContactFrames(points[0], 3.0, headings=np.eye(3), time=0.5, errors=points[0])
     assert one.points.shape == one.errors.shape == (1, 3)
     assert (one.headings.shape, one.time.shape) == ((1, 3, 3), (1,))
+    with pytest.raises(RecordingError, match=r"forces of contact frames, got shape \(2,\)"):
+        ms.ContactFrames(points, [3.0, 3.0])
+    with pytest.raises(RecordingError, match="headings of contact frames"):
+        ms.ContactFrames(points, 3.0, headings=[np.eye(3), np.eye(2), np.eye(3)])
 
 
 def test_readings_and_beliefs_that_only_a_batch_can_use_are_refused(world):
@@ -364,3 +368,31 @@ def test_contacts_that_were_rejected_too_early_come_back(world, frames):
     before = status.rejected
     assert before > 0
     assert online.settle().rejected < before / 3
+
+
+def test_late_readings_are_a_misfit(world):
+    """By two frames; lanes go to and fro."""
+    every = np.arange(len(world.points)).reshape(12, -1)[:, ::2]
+    every[1::2] = every[1::2, ::-1]
+    lanes = every[:9].ravel()
+    contacts = ms.ContactFrames(world.points[lanes], world.force[lanes])
+    status = run(world, contacts, np.roll(recorded(world, 1)[lanes], 2, axis=0)).status
+    assert status.verdict == "model misfit"
+    assert "2 frames too late" in status.why
+
+
+def test_a_reading_that_is_not_finite_is_lost(world, frames):
+    contacts, readings = frames
+    readings = readings[:60].copy()
+    readings[5, np.argmax(readings[5])] = np.inf
+    online = run(world, contacts.take(slice(0, 60)), readings)
+    read = online.estimate.store.counts > 0
+    assert np.isfinite(online.estimate.store.means[read]).all()
+    assert (online.update(contacts.take(slice(0, 0)), [])).used == 60
+
+
+def test_large_ids_are_kept(world, frames):
+    ids = np.asarray(world.ids) + 3_000_000_000
+    online = ms.OnlineCalibration(world.belief(NOISE, THRESHOLD, taxel_ids=ids))
+    online.update(frames[0].take(slice(0, 20)), frames[1][:20])
+    assert set(online.recording().reading_taxel) <= set(ids.tolist())

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal, norm
 import meshskin as ms
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.recalibrate import errors as errors_module
-from meshskin.estimation.recalibrate import evidence
+from meshskin.estimation.recalibrate import evidence, readings
 from meshskin.estimation.recalibrate.hypotheses import (
     CONFIRMED,
     EXCHANGED,
@@ -286,6 +286,9 @@ def test_what_cannot_be_tested_is_refused(setting):
         ms.recalibrate("map.txt", recording, scene.belief())
     with pytest.raises(CalibrationError, match="number of touches"):
         ms.next_touches(scene.skin, scene.belief(), 0)
+    for units in ([9999], []):
+        with pytest.raises(CalibrationError, match="no such module to test"):
+            ms.next_touches(scene.skin, scene.belief(), 3, units=units)
 
 
 @pytest.mark.slow
@@ -378,3 +381,49 @@ def test_the_likelihood_of_a_taxel_is_that_over_all_places_that_the_map_allows(s
     straight = touches.straight(4, state, errors).log_likelihood(errors, touches.threshold)
     assert straight == pytest.approx(expected, abs=0.7)
     assert abs(likelihoods([state])[0] - expected) > 1.0  # over all of them at once
+
+
+def test_thinned_contacts_keep_all_that_they_have(setting):
+    """Fields with a row a contact."""
+    scene, points = setting
+    data = _data(scene, points)
+    m, turns = len(data.points), np.tile(np.eye(3), (len(data.points), 1, 1))
+    errors, corrupt = np.arange(3.0 * m).reshape(m, 3), np.array([[0, 1], [2, 0], [m - 1, 3]])
+    data = replace(data, headings=turns, contact_errors=errors, corrupt=corrupt)
+    assert len({m, len(data.pressure), len(data.ids)}) == 3
+    kept = np.arange(m) % 2 == 0
+    found = readings._of_contacts(data, kept)
+    for name, value in vars(data).items():
+        if isinstance(value, np.ndarray) and len(value) == m:
+            np.testing.assert_array_equal(getattr(found, name), value[kept], err_msg=name)
+    np.testing.assert_array_equal(
+        found.points[found.contact], data.points[data.contact][kept[data.contact]]
+    )
+    assert found.corrupt[:2].tolist() == [[0, 1], [1, 0]]
+
+
+def test_a_lost_reading_does_not_lose_the_others_of_a_falling_skin(setting):
+    scene, points = setting
+    recording = ms.press(scene, points[:2])
+    pressure = recording.pressure.copy()
+    pressure[1] = np.nan
+    given = recording.readings.set_column(2, "pressure", pa.array(pressure))
+    turned = readings._turned(replace(recording, readings=given)).pressure
+    assert np.flatnonzero(np.isnan(turned)).tolist() == [1]
+
+
+@pytest.mark.slow
+def test_false_alarms_of_single_taxels_are_rarer_than_stated(sphere):
+    """60 recordings with 1 % noise of maps that are as wrong as they say, at a stated rate of 10 %:
+    a binomial number above 12 would have a chance of 1 %."""
+    alarms = 0
+    for seed in range(60):
+        scene, points = single_taxels(sphere, seed)
+        offset = np.random.default_rng(1000 + seed).normal(scale=0.3e-3, size=(12, 2))
+        map_, belief = (
+            displaced(scene.skin, offset).onto(scene.body),
+            scene.belief(noise_sigma=None),
+        )
+        recording = ms.press(scene, points[:24], seed=seed)
+        alarms += bool(ms.recalibrate(map_, recording, belief, false_alarm=0.1).findings)
+    assert alarms <= 12

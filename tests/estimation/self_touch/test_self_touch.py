@@ -182,3 +182,13 @@ def test_bad_pairs(world):
     known = replace(arm, mount_sigma=0.0, mount_turn_sigma=0.0)
     with pytest.raises(CalibrationError, match="nothing is unknown"):
         ms.self_touch(known, base)
+
+
+def test_a_start_from_the_result_has_the_same_uncertainty(world):
+    """The scatter starts ten times too large, and the places do not move."""
+    arm, base, _ = world
+    first = ms.self_touch(arm, base)
+    again = ms.self_touch(replace(arm, positions=first.positions[0]), base)
+    assert again.scatter == pytest.approx(first.scatter, rel=0.01)
+    # the mount turns the taxels about another arm
+    np.testing.assert_allclose(again.sigmas[0], first.sigmas[0], rtol=0.15)
