@@ -126,13 +126,13 @@ class OutputError(MeshskinError):
 
 
 class LeftOutWarning(UserWarning):
-    """Taxels or contacts that a result leaves out; the message counts them by reason."""
+    """Taxels that a result leaves out; the message counts them by reason."""
 
 
-def warn_left_out(what: str, reasons: Iterable[str], count: int, of: str = "taxels") -> None:
-    """Warn the caller of a public function of what its result leaves out, by default taxels.
+def warn_left_out(what: str, reasons: Iterable[str], count: int) -> None:
+    """Warn the caller of a public function of the taxels that its result leaves out.
 
-    what: what was not done to them; reasons: why, one text each; count: number of them all.
+    what: what was not done to them; reasons: why, one text a taxel; count: number of all taxels.
     Functions of meshskin that call a public function decide themselves what they say.
     """
     found = Counter(reasons).most_common()
@@ -141,5 +141,5 @@ def warn_left_out(what: str, reasons: Iterable[str], count: int, of: str = "taxe
         lost = sum(number for _, number in found)
         words = "; ".join(f"{number}: {why}" for why, number in found)
         verb = "is" if lost == 1 else "are"
-        text = _printable(f"{lost} of {count} {of} {verb} not {what} ({words})")
+        text = _printable(f"{lost} of {count} taxels {verb} not {what} ({words})")
         warnings.warn(text, LeftOutWarning, stacklevel=3)

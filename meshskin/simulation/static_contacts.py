@@ -8,6 +8,7 @@ that effects with a memory (shear, delayed readings) find that the contact was l
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from ..core.arguments import check_array, check_integer, check_type, check_vectors
 from ..core.arrays import Array
-from ..core.errors import RecordingError, warn_left_out
+from ..core.errors import RecordingError
 from ..core.progress import Progress, Stage
 from ..core.provenance import provenance
 from ..core.se3 import exp_so3, shortest_rotation, transform
@@ -59,8 +60,8 @@ def press(
     earlier presses, of the scene as `without_arm` returns it, to continue instead of new ones of
     the seed. progress("press", done, total): called between batches of presses. Raises
     RecordingError without points, for points far from the body, for forces that
-    are not positive, or for spins that are not finite. Contacts at which the contact model does not
-    hold are left out (LeftOutWarning), as in `simulate`; ContactError where it holds at none.
+    are not positive, or for spins that are not finite. ContactError where the
+    contact model holds at none of the points; warns where it holds at some only.
 
     >>> scene = ms.Scene.load("sphere")
     >>> len(ms.press(scene, scene.skin.positions[:3], force=[2.0, 3.0, 4.0]).time)
@@ -83,13 +84,14 @@ def press(
     limits = scene.model.exceeded_limits(
         forces, hit.curvature, scene.indenter.radius, scene.material.effective_modulus
     )
-    valid = limits == ""  # outside the range of its model, a contact has no known pressures
-    if not valid.any():
+    beyond = limits[limits != ""]  # there a contact has no known pressures
+    if len(beyond) == count:
         replace(scene.indentation, force=forces[0]).patch(scene.model.name, hit.curvature[0])
-    warn_left_out("pressed", limits[~valid], count, "contacts")
+    if len(beyond):
+        words = f"{scene.model.name} contact does not hold in {len(beyond)} of {count} presses"
+        warnings.warn(f"{words}, whose readings are not those of a skin: {beyond[0]}", stacklevel=2)
     frames = _static_frames(scene, hit, forces, scene.indenter.rotation @ (turn @ down))
-    chain = chain or effect_pipeline(scene, seed)
-    return _record(scene, frames.rows(valid), chain, seed, progress)
+    return _record(scene, frames, chain or effect_pipeline(scene, seed), seed, progress)
 
 
 def press_path(scene: Scene, path: Path, seed: int, chain: EffectPipeline | None) -> Recording:

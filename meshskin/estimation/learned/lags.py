@@ -27,10 +27,11 @@ LEAST_SCORE = 4.0
 """Score, in standard deviations, from which taxels move: 0 to 2.2 in 92 recordings without lags, of
 35 worlds; 3.7 where readings lack a part of the sum of all; 4.3 to 9.8 with lags."""
 MAX_LEVERAGE = 0.1
-"""Mean leverage of the contacts' errors from which the sign of a lag is not known: how well these
+"""Mean leverage of the contacts' errors from which lags are not looked for: how well these errors
 are determined depends on the lags, which a likelihood at its mode leaves out. With 0.5 (counts of
-studies/foreign_worlds.py) shares were found that are none, in four of seven recordings; with 0.01
-to 0.04 (creep_twice there, Preisach's operator, two time constants) they were right."""
+studies/foreign_worlds.py) shares were found that are none, in four of seven recordings, and 1.4 to
+1.7 times the error stated; with lags there 0.8 to 1.0 without them. With 0.01 to 0.04 (creep_twice
+there, Preisach's operator, two time constants) they were right."""
 
 
 def lags(

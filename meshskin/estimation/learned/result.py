@@ -170,17 +170,15 @@ def _tangential(
 def _small_effects(effects: RandomEffects, fit: GoodnessOfFit) -> dict[str, SmallEffects]:
     """Small errors of the readings, by their names; none where the readings do not fit, as other
     errors would pass for these."""
+    none = SmallEffects.none(len(effects.unknowns.nuisance))
     if fit.good is False:
-        none = SmallEffects.none(len(effects.unknowns.nuisance))
         return dict.fromkeys((LAGS, SHARES), none)
     fitted = effects.fitted()
-    late = lags(fitted, partial(slope_beyond_mode, effects))
-    found = {LAGS: late, SHARES: further_shares(fitted)}
-    weak = [min(found, key=lambda name: found[name].score)]  # each passes for the other
+    shares = further_shares(fitted)
     if contact_leverage(fitted) > MAX_LEVERAGE:
-        # the slope beyond the mode errs by the size of a lag: only what the mode shows is named
-        shown = min(late.score, lags(fitted, lambda _: np.zeros(1)).score)
-        found[LAGS], weak = replace(late, score=shown), list(found)
+        return {LAGS: none, SHARES: shares.held()}
+    found = {LAGS: lags(fitted, partial(slope_beyond_mode, effects)), SHARES: shares}
+    weak = [min(found, key=lambda name: found[name].score)]  # each passes for the other
     return {name: one.held() if name in weak else one for name, one in found.items()}
 
 

@@ -3,9 +3,12 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from meshskin.estimation.joint.pressure import CENSORED, OBSERVED
-from meshskin.estimation.learned.result import _few_readings, _own_misfit
+from meshskin.estimation.joint.small_effects import SmallEffects
+from meshskin.estimation.learned import result
+from meshskin.estimation.learned.result import LAGS, SHARES, _few_readings, _own_misfit
 
 
 def test_few_readings_of_a_taxel_widen_its_variance():
@@ -33,3 +36,19 @@ def test_residuals_far_larger_than_those_of_most_widen_a_taxel():
         residuals=lambda: 0.7 * own[taxel] ** 0.5,
     )
     np.testing.assert_allclose(_own_misfit(effects), [1.0, 1.0, 1.0, 1.0, 9.0])
+
+
+@pytest.mark.parametrize("leverage", [0.01, 0.5])
+def test_lags_are_not_looked_for_where_contacts_have_errors_of_any_size(monkeypatch, leverage):
+    """Counts with nominal forces and scattered contacts showed some that were none."""
+    found = SmallEffects(8.0, np.ones((3, 2)), np.zeros((3, 2, 2)))
+    for name in ("lags", "further_shares"):
+        monkeypatch.setattr(result, name, lambda *_: found)
+    monkeypatch.setattr(result, "contact_leverage", lambda fitted: leverage)
+    unknowns = SimpleNamespace(nuisance=np.zeros((3, 2)))
+    effects = SimpleNamespace(unknowns=unknowns, fitted=lambda: None)
+    small = result._small_effects(effects, SimpleNamespace(good=True))
+    clear = leverage < 0.1
+    assert small[LAGS].score == (8.0 if clear else 0.0)
+    assert small[LAGS].covariances.any() == clear
+    assert not small[SHARES].displacements.any() or clear
