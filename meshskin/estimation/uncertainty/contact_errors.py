@@ -199,13 +199,15 @@ class Motion:
         surface with normals (m, 3), about the middle of the body's bounds (2, 3), m; of 7 entries,
         or of 6, without a change of scale.
 
+        The heights over the middle that a stretch changes are those of the surface below them.
+
         Shift, and turn and stretch times half the bounds' diagonal are alike before: a body that
         slides along its own surface has no distances, and is expected to have moved so as far as it
         has moved otherwise. That is the covariance.
         """
         middle, size = bounds.mean(axis=0), float(np.linalg.norm(np.ptp(bounds, axis=0))) / 2
         arm = points - middle
-        outward = np.einsum("mi,mi->m", arm, normals)[:, None] / size
+        outward = (np.einsum("mi,mi->m", arm, normals) - distance)[:, None] / size
         columns = np.hstack([normals, np.cross(arm, normals) / size, outward])
         x, covariance = np.zeros(7), np.zeros((7, 7))
         x[:entries], covariance[:entries, :entries] = _posterior(
