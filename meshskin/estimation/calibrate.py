@@ -187,7 +187,8 @@ class Estimation:
                 raise
             return other
         if self._contradicted(found) and not fails_by_itself(self.recording, self.data):
-            return self._learned(stage) or found.result()
+            other = self._learned(stage)
+            return found.result() if other is None else found.found.with_jump(other)
         return found.result()
 
     @property

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ...core.arrays import Array
-from ..result import ALIKE_CONTACTS, SHARED_ERRORS
+from ..result import ALIKE_CONTACTS, SHARED_ERRORS, EstimatorResult
 from ..uncertainty.goodness_of_fit import GoodnessOfFit
 from . import fault_detection, rejected_readings
 from .contact_fields import ContactFields, contact_fields
 from .departures import FittedReadings, departure_scores, fitted_readings
 from .joint_estimator import JointEstimator
-from .jump import Jump, jump_of
+from .jump import Jump, jump_by_outliers, jump_of
 from .leaks import crosstalk_score
 from .parametrization import SurfaceParametrization
 from .residual_correlations import SharedErrors, larger, shared_errors
@@ -26,6 +26,8 @@ class ModelDepartures:
 
     fitted: FittedReadings | None = None
     jump: Jump = field(default_factory=Jump)
+    outlying: Jump = field(default_factory=Jump)
+    """The jump that outlying readings show."""
     errors: SharedErrors | None = None
     fields: ContactFields | None = None
 
@@ -36,8 +38,19 @@ class ModelDepartures:
         if not single or fit.of_computing(estimator.data.pressure):
             return cls()
         fitted = fitted_readings(estimator, estimator.likelihood.readings.weight)
-        jump = jump_of(estimator, fitted)
-        return cls(fitted, jump, shared_errors(fitted), contact_fields(fitted))
+        outlying = jump_by_outliers(estimator)
+        jump = max(jump_of(estimator, fitted), outlying, key=lambda jump: jump.score)
+        return cls(fitted, jump, outlying, shared_errors(fitted), contact_fields(fitted))
+
+    def with_jump(self, learned: EstimatorResult) -> EstimatorResult:
+        """An estimate with a learned response with the jump that outlying readings show here: there
+        errors of the contacts stand in for it."""
+        jump = self.outlying
+        if learned.jump.any() or not jump.shown.any():
+            return learned
+        return replace(
+            learned, jump=jump.shown, departures={**learned.departures, **jump.departure}
+        )
 
     def covariances(self) -> tuple[Array, list[str]]:
         """What shared errors add to the tangential covariances (n, 2, 2), m^2, and in words."""

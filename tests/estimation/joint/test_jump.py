@@ -1,12 +1,15 @@
-"""A jump of the contacts: a place in the recording before which there are contacts."""
+"""A jump of the contacts: a place in the recording from which on all are displaced."""
 
 from types import SimpleNamespace
 
 import numpy as np
+import pyarrow as pa
 from scipy import stats
 
+import meshskin as ms
 from meshskin.estimation.joint.departures import normal_score
 from meshskin.estimation.joint.jump import largest_jump
+from meshskin.geometry.region import Cap
 
 
 def fitted(count, begin):
@@ -48,3 +51,45 @@ def test_the_score_of_several_directions_is_that_of_one_as_improbable():
 def test_a_jump_is_estimated_at_the_place_that_is_given():
     found = largest_jump(fitted(160, 80), [120])
     assert found.part == 0.75
+
+
+def lanes(scene, seed):
+    """A log in back-and-forth lanes 2.5 mm apart, and the lanes' direction."""
+    rng, skin = np.random.default_rng(seed), scene.skin
+    near = skin.positions[rng.integers(len(skin), size=600)]
+    points = scene.body.closest(near + rng.uniform(-5e-3, 5e-3, (600, 3))).point
+    middle = skin.positions.mean(axis=0)
+    axes = np.linalg.svd(skin.positions - middle)[2]
+    along, across = ((points - middle) @ axes[:2].T).T
+    lane = np.floor(across / 2.5e-3).astype(int)
+    order = np.lexsort((along * np.where(lane % 2, 1, -1), lane))
+    made = ms.press(scene, points[order], force=rng.uniform(2.5, 3.5, 600), seed=seed)
+    return made.contacts, made.readings, axes[0]
+
+
+def test_a_jump_that_outlying_readings_hide_is_named_and_counted():
+    """Contacts of the later half 1 mm along a capsule: the few taxels that are touched before and
+    after it fit one half, and the readings of the other half are left out as outlying."""
+    base, body = ms.Scene.load("sphere_noisy"), ms.Body.capsule(radius=0.04, length=0.15)
+    region = Cap(direction=(1.0, 0.3, 0.2))
+    skin = ms.Skin.cover(body, spacing=6e-3, count=60, seed=2, region=region, disc_radius=2e-3)
+    scene = base.with_(
+        body=body, skin=skin, contact="elliptic", material=ms.Material(young=0.4e6),
+        indenter=ms.Indenter.sphere(0.008),
+    )  # fmt: skip
+    contacts, readings, along = lanes(scene, 1)
+    for axis, size in zip(("px", "py", "pz"), 1e-3 * along, strict=True):
+        values = contacts[axis].to_numpy() + size * (np.arange(600) >= 300)
+        contacts = contacts.set_column(contacts.column_names.index(axis), axis, pa.array(values))
+    for contact in ("auto", "elliptic"):
+        belief = scene.belief(contact=contact, noise_sigma=None)
+        found = ms.calibrate(ms.Recording(contacts, readings, {}), belief)
+        assert found.verdict is not None
+        assert found.verdict.level == "DOUBT"
+        words = "".join(found.verdict.reasons).split("a jump of the contacts at ")[1]
+        assert abs(int(words.split("%")[0]) - 50) <= 3
+        error = np.linalg.norm(found.positions - skin.positions, axis=1)
+        good = np.isfinite(error)
+        stated = np.mean(found.position_sigma[good] ** 2) / np.mean(error[good] ** 2)
+        assert good.sum() > 55
+        assert 1.0 < stated**0.5 < 2.0
