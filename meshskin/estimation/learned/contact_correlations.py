@@ -93,7 +93,7 @@ def neighbour_correlation(effects: RandomEffects) -> float:
     if len(used) < MIN_CONTACTS or effects.deviations.position <= FLOOR["position"]:
         return 0.0
     errors, points = effects.unknowns.errors[used, :2], effects.data.points[used]
-    moved = np.einsum("mac,ma->mc", _tangents(effects)[used], errors)
+    moved = np.einsum("mac,ma->mc", tangents(effects)[used], errors)
     first, second = cKDTree(points).query(points, k=2)[1].T
     nearest = np.where(first == np.arange(len(points)), second, first)  # contacts may coincide
     power = float(np.sum(moved**2))
@@ -128,7 +128,7 @@ def alike_errors(effects: RandomEffects, covariances: Array) -> AlikeErrors:
     return AlikeErrors(max(factor, 1.0), tuple(map(float, parts)))
 
 
-def _tangents(effects: RandomEffects) -> Array:
+def tangents(effects: RandomEffects) -> Array:
     """Unit tangents (m, 2, 3) along which the contacts' displacements are stated."""
     contacts = effects.linearized.at(effects.unknowns.s)
     return np.stack([contacts.directions, np.cross(contacts.normals, contacts.directions)], axis=1)
@@ -153,7 +153,7 @@ class _Correlograms:
         at = data.points[readings.contact[self.clear]]
         self.contacts = _rings(data.points[self.used], far)
         self.readings = _rings(np.column_stack([at, 10 * far * own]), far)
-        self.tangents = _tangents(effects)
+        self.tangents = tangents(effects)
 
     def of(self, errors: Array, residuals: Array) -> Array:
         """The correlograms (3 (RINGS + 1), c) of contact errors (m, 3, c) and residuals (k, c)."""

@@ -46,6 +46,7 @@ from ..joint.rival_optima import RivalOptima, resolve_rivals
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import EstimatorResult, LearnedResponse
 from ..trilateration import coactivation, trilaterate
+from .contact_kinds import contact_kinds
 from .departure_search import first_estimate, plausible, with_departures
 from .deviations import UNMEASURED_FORCE, Deviations
 from .modules import moved_to_modules
@@ -152,14 +153,13 @@ def _attempt(
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)
     fitted = effects.fitted()
-    jump = largest_jump(fitted)
+    jump, kinds = largest_jump(fitted), contact_kinds(effects)
     departures = {
-        **response_groups(fitted).departure,
-        **departures,
-        **found.departures,
-        **jump.departure,
-    }
-    return replace(found, departures=departures, jump=jump.shown)
+        **response_groups(fitted).departure, **departures, **found.departures, **jump.departure,
+        **kinds.departure,
+    }  # fmt: skip
+    displaced = max(jump.shown, kinds.shown, key=np.linalg.norm)
+    return replace(found, departures=departures, jump=displaced)
 
 
 def _displaced(effects: RandomEffects, recorded: Measurements, least: float = 0.0) -> np.ndarray:

@@ -1,0 +1,66 @@
+"""Contacts of two kinds, in any order, one of them displaced."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import meshskin as ms
+from meshskin.geometry.region import Cap
+
+
+def scattered(seed):
+    """A scene with 40 taxels on a capsule, and a log of 500 contacts in random order."""
+    base, body = ms.Scene.load("sphere_noisy"), ms.Body.capsule(radius=0.04, length=0.15)
+    region = Cap(direction=(1.0, 0.3, 0.2))
+    skin = ms.Skin.cover(body, spacing=6e-3, count=40, seed=2, region=region, disc_radius=2e-3)
+    scene = base.with_(
+        body=body, skin=skin, contact="elliptic", material=ms.Material(young=0.4e6),
+        indenter=ms.Indenter.sphere(0.008),
+    )  # fmt: skip
+    rng = np.random.default_rng(seed)
+    near = skin.positions[rng.integers(len(skin), size=500)]
+    points = body.closest(near + rng.uniform(-5e-3, 5e-3, (500, 3))).point
+    return scene, ms.press(scene, points, force=rng.uniform(2.5, 3.5, 500), seed=seed)
+
+
+def displaced(log, by):
+    """The log with its contacts displaced by (m, 3), m."""
+    contacts = log.contacts
+    for axis, size in zip(("px", "py", "pz"), by.T, strict=True):
+        values = pa.array(contacts[axis].to_numpy() + size)
+        contacts = contacts.set_column(contacts.column_names.index(axis), axis, values)
+    return ms.Recording(contacts, log.readings, {})
+
+
+@pytest.mark.parametrize("share", [0.5, 0.25])
+def test_contacts_that_are_displaced_alike_are_named_and_counted(share):
+    scene, log = scattered(0)
+    moved = np.random.default_rng(1).random(len(log.points)) < share
+    wrong = displaced(log, np.outer(moved, [0.0, 0.0, 1e-3]))
+    found = ms.calibrate(wrong, scene.belief(contact="auto", noise_sigma=None))
+    assert found.verdict is not None
+    assert found.verdict.level == "DOUBT"
+    (words,) = [words for words in found.verdict.reasons if "displaced against" in words]
+    said = float(words.split("%")[0].split()[-1]) / 100
+    assert said == pytest.approx(min(share, 1 - share), abs=0.05)
+    error = np.linalg.norm(found.positions - scene.skin.positions, axis=1)
+    assert 0.7 < np.sqrt(np.mean(found.position_sigma**2) / np.mean(error**2)) < 2.0
+
+
+@pytest.mark.parametrize("kind", ["normal", "uniform", "laplace"])
+def test_scatter_is_of_one_kind(kind):
+    """Of 0.3 mm along one direction, whatever its distribution."""
+    scene, log = scattered(0)
+    rng = np.random.default_rng(2)
+    size = (
+        0.3e-3
+        * {
+            "normal": rng.normal(size=500),
+            "uniform": 3**0.5 * rng.uniform(-1, 1, 500),
+            "laplace": rng.laplace(size=500) / 2**0.5,
+        }[kind]
+    )
+    wrong = displaced(log, np.outer(size, [0.0, 0.0, 1.0]))
+    found = ms.calibrate(wrong, scene.belief(contact="auto", noise_sigma=None))
+    assert found.verdict is not None
+    assert not any("displaced against" in words for words in found.verdict.reasons)
