@@ -35,6 +35,7 @@ from .uncalibrated import uncalibrated
 from .uncertainty import observability
 from .uncertainty.contact_errors import systematic_covariance
 from .uncertainty.judge import fails_by_itself, judge
+from .uncertainty.unseen_motions import unseen_motions
 
 UNTOUCHED = "never touched"
 CONSTANT = "its reading never changes"
@@ -139,7 +140,7 @@ class Estimation:
             ),
             disc_radius=data.belief.disc_radius,
             frame=getattr(data.belief.body, "frame", None),  # an exact surface has none
-            **result.details,
+            **{**result.details, "undetermined": result.undetermined + unseen_motions(self._near)},
         )
         seconds = {"gather": self._seconds, **result.seconds}
         total = self._seconds + time.perf_counter() - begin
@@ -164,8 +165,7 @@ class Estimation:
 
     @cached_property
     def _digest(self) -> str:
-        given = self.recording
-        return digest(given.points, given.force, given.pressure)
+        return digest(self.recording.points, self.recording.force, self.recording.pressure)
 
     def joint(
         self, stage: Stage, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS
@@ -187,8 +187,7 @@ class Estimation:
                 raise
             return other
         if self._contradicted(found) and not fails_by_itself(self.recording, self.data):
-            other = self._learned(stage)
-            return found.result() if other is None else found.found.with_jump(other)
+            return found.found.with_jump(self._learned(stage)) or found.result()
         return found.result()
 
     @property

@@ -66,6 +66,7 @@ def observability(data: ReportData) -> list[str]:
     lines = [
         f"Factors used: {'; '.join(c.factors) or 'none'}.",
         f"Anchor, which fixes the pose of the whole skin: {c.anchor or 'none'}.",
+        *(f"Not shown by the log: {words}." for words in c.undetermined),
     ]
     if has_gauge_freedom(c) and data.truth is not None:
         lines.append(

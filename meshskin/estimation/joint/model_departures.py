@@ -42,11 +42,11 @@ class ModelDepartures:
         jump = max(jump_of(estimator, fitted), outlying, key=lambda jump: jump.score)
         return cls(fitted, jump, outlying, shared_errors(fitted), contact_fields(fitted))
 
-    def with_jump(self, learned: EstimatorResult) -> EstimatorResult:
-        """An estimate with a learned response with the jump that outlying readings show here: there
-        errors of the contacts stand in for it."""
+    def with_jump(self, learned: EstimatorResult | None) -> EstimatorResult | None:
+        """An estimate with a learned response, if there is one, with the jump that outlying
+        readings show here: there errors of the contacts stand in for it."""
         jump = self.outlying
-        if learned.jump.any() or not jump.shown.any():
+        if learned is None or learned.jump.any() or not jump.shown.any():
             return learned
         return replace(
             learned, jump=jump.shown, departures={**learned.departures, **jump.departure}

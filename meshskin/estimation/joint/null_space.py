@@ -74,6 +74,9 @@ def undetermined_motion(parameters: GlobalParameters, covariance: Array) -> tupl
 def _in_words(direction: dict[str, float]) -> str:
     if len(direction) == 1:
         return f"{next(iter(direction))} is not determined"
-    largest = max(direction.values(), key=abs)
+    size = max(map(abs, direction.values()))
+    largest = next(
+        x for x in direction.values() if abs(x) > 0.99 * size
+    )  # rounding may be the rest
     parts = (f"{name} {x / largest:+.2g}" for name, x in direction.items())
     return f"cannot be told apart: {', '.join(parts)}"

@@ -176,7 +176,9 @@ def _small_effects(effects: RandomEffects, fit: GoodnessOfFit) -> dict[str, Smal
     found = {LAGS: late, SHARES: further_shares(fitted)}
     weak = [min(found, key=lambda name: found[name].score)]  # each passes for the other
     if contact_leverage(fitted) > MAX_LEVERAGE:
-        weak = list(found)
+        # the slope beyond the mode errs by the size of a lag: only what the mode shows is named
+        shown = min(late.score, lags(fitted, lambda _: np.zeros(1)).score)
+        found[LAGS], weak = replace(late, score=shown), list(found)
     return {name: one.held() if name in weak else one for name, one in found.items()}
 
 

@@ -233,7 +233,7 @@ def _posterior(columns: Array, distance: Array, points: Array) -> tuple[Array, A
     entries = columns.shape[1]
     if explained < (entries + SHIFT_SIGMAS**2) * max(rest, MIN_SCATTER**2):
         return np.zeros(entries), np.zeros((entries, entries))
-    rest = _effective_variance(left, points)
+    rest = effective_variance(left, points)
     matrix, right = columns.T @ columns / rest, columns.T @ distance / rest
     scale = np.mean(distance**2) ** 0.5 * np.logspace(-1, 2, TRIALS)
     pair = np.stack(np.meshgrid(scale, scale, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -253,7 +253,7 @@ def _posterior(columns: Array, distance: Array, points: Array) -> tuple[Array, A
     return np.asarray(found), np.asarray(np.tensordot(weight, covariance, 1))
 
 
-def _effective_variance(rest: Array, points: Array) -> float:
+def effective_variance(rest: Array, points: Array) -> float:
     """Variance, m^2, of independent errors that are worth as much as those which leave distances
     `rest` (m,), m, at points (m, 3), m: errors of contacts in the same cell may be alike, as over a
     dent."""
