@@ -32,7 +32,7 @@ from .result import EstimatorResult
 from .trilateration import coactivation, eq15, trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
 from .uncalibrated import uncalibrated
-from .uncertainty import observability
+from .uncertainty import observability, second_places
 from .uncertainty.contact_errors import systematic_covariance
 from .uncertainty.judge import fails_by_itself, judge
 from .uncertainty.unseen_motions import unseen_motions
@@ -77,7 +77,7 @@ class Estimation:
         """The calibration by a method; arguments and errors as `calibrate`."""
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         found, result = self._estimated(method, tolerance, iterations, stage=stage)
-        begin = time.perf_counter()
+        begin, found = time.perf_counter(), second_places.widened(self.data, found)
         verdict = judge(self.recording, self._near, found, result.departures, self.data)
         stage.end()
         judged = time.perf_counter() - begin
@@ -135,7 +135,9 @@ class Estimation:
             belief=data.belief,
             provenance=provenance(
                 method=method,
-                recording=self._digest,
+                recording=digest(
+                    self.recording.points, self.recording.force, self.recording.pressure
+                ),
                 source=self.recording.metadata.get("provenance", {}),
             ),
             disc_radius=data.belief.disc_radius,
@@ -162,10 +164,6 @@ class Estimation:
     @cached_property
     def _contact_centroids(self) -> Array:
         return trilaterate.centroids(coactivation.without_distant_readings(self.data))
-
-    @cached_property
-    def _digest(self) -> str:
-        return digest(self.recording.points, self.recording.force, self.recording.pressure)
 
     def joint(
         self, stage: Stage, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS

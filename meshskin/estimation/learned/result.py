@@ -37,6 +37,7 @@ from ..result import (
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .contact_correlations import alike_errors, fewer_contacts, force_scatter
 from .estimated_response import learned_response
+from .gain_changes import GAIN_CHANGES, gain_changes
 from .lags import LAGS, MAX_LEVERAGE, contact_leverage, lags
 from .marginal_slope import slope_beyond_mode
 from .random_effects import RandomEffects
@@ -85,8 +86,9 @@ def learned_result(
     points, rotations = placed.points(), placed.rotations()
     apart = np.nan_to_num(rivals.points - points)
     tangential += tangential_square(rotations[:, :, :2], apart)
-    lost, reasons = estimator.broken, reasons.copy()
-    reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
+    changed, reasons = gain_changes(effects.fitted()), reasons.copy()
+    reasons[live], reasons[live[estimator.broken]] = "", MOSTLY_OUTLIERS
+    reasons[live[changed]], lost = GAIN_CHANGES, estimator.broken | changed
     infinite = np.diag([np.inf, np.inf])
     faults = estimator.faults.copy()
     name_rivals(faults, live, points, rivals.points)

@@ -5,6 +5,7 @@ and nothing but the few that answer in both tells that the others have wrong ids
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,6 +49,19 @@ def findings(data: Measurements, calibration: Calibration) -> list[Finding]:
         "at two places at once; calibrate parts of the recording one by one"
     )
     return [(FAIL if len(taxels) > failure else DOUBT, words)]
+
+
+def widened(data: Measurements, calibration: Calibration) -> Calibration:
+    """The calibration with the variance of a place anywhere among the contacts added to that of
+    every taxel, where second places are a failure: those that answer at one place only may have
+    wrong ids, too."""
+    placed = int(np.isfinite(calibration.positions).all(axis=1).sum())
+    if len(second_places(data, calibration.positions)) <= MAX_TAXELS[1] * placed:
+        return calibration
+    covariances = calibration.covariances.copy()
+    anywhere = float(np.sum(np.ptp(data.points, axis=0) ** 2)) / 12
+    covariances[:, :3, :3] += anywhere * np.eye(3)
+    return replace(calibration, covariances=covariances)
 
 
 def second_places(data: Measurements, positions: Array) -> np.ndarray:

@@ -34,6 +34,7 @@ def test_ids_exchanged_in_half_of_the_recording(wide):
     found = calibrate(exchanged(wide, recording, 1.0), belief)
     off = np.linalg.norm(found.positions - wide.truth, axis=1)
     assert np.nanmax(off) > 10e-3
+    assert not np.any((off > 0.3e-3) & (off > 5 * found.position_sigma))
     assert found.verdict.level == "FAIL"
     assert any("taxels answer strongly at a second place" in why for why in found.verdict.reasons)
 
