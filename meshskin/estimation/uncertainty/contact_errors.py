@@ -9,7 +9,7 @@ far a delay of the readings displaces a taxel; the path of the contact points sh
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +21,7 @@ from ..data.registration import CELL, MIN_SCATTER, slopes
 from ..trilateration.displacements import surface_motion
 from ..trilateration.trilaterate import starts
 from . import sheets, swapped_axes
+from .surface_errors import growth, local_means, normal_variance
 from .tilts import tilts
 
 if TYPE_CHECKING:
@@ -45,11 +46,13 @@ MAX_LEFT = 0.1
 relation to that without it, beyond scatter: more is dents of the body."""
 
 REGISTRATIONS = 4
-"""Linearizations of a motion without a change of scale: with a frame turned by 3
-degrees on the forearm of a UR3e one left 1.2 degrees, two 0.002."""
+"""Linearizations of a motion: with a frame turned by 3 degrees on the forearm of a UR3e one left
+1.2 degrees, two 0.002."""
 MAX_SLIDE = 5.0
 """Displacement by such a motion over the distances that it explains, both rms, above which dents
 explain them as well: 2 for that frame, 80 for dents of 0.1 mm under a skin of eight taxels."""
+ATTEMPTS = (7, REGISTRATIONS), (6, REGISTRATIONS), (7, 1)
+"""Entries and linearizations of the motions that are tried, in order."""
 
 
 def systematic_covariance(
@@ -75,7 +78,7 @@ def systematic_covariance(
     if jump is not None:
         moves.append(np.broadcast_to(jump, middles.shape))
     if data.belief.surface_sigma > 0.0:
-        moves.append(data.belief.surface_sigma * _growth(data, middles))
+        moves.append(data.belief.surface_sigma * growth(data.body, middles))
     if (moving := data.parameters.motion) is not None:
         moves.append(tilts(data, hit.point, hit.distance))
         if moving.held.size:  # of a body offset (registration.py)
@@ -85,50 +88,9 @@ def systematic_covariance(
     tangential = np.swapaxes(tangents, 1, 2) @ sideways @ tangents
     into = surface_motion(shape)
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
-    out[:, 2, 2] += _normal_variance(data, hit.distance) + data.belief.surface_sigma**2
+    out[:, 2, 2] += normal_variance(data, hit.distance) + data.belief.surface_sigma**2
     out[:, 2, 2] += np.einsum("ni,ni->n", rotations[:, :, 2], swapped) ** 2
     return out + sheets.covariance(data.body, places, rotations[:, :, 2])
-
-
-LEAST_HEIGHT = 0.1
-"""Least distance of the surface from the middle, along the normals, relative to the diagonal of the
-bounds: a flat sheet of skin is part of a body, whose size does not follow from it; a ball has 0.29,
-a cylinder eight times as long as its radius 0.19."""
-
-
-def _growth(data: Measurements, points: Array) -> Array:
-    """Displacements (n, 3) of points (n, 3), m, on a body that grows about its middle until its
-    surface has moved by 1 along the normals, in the root mean square over its area.
-
-    Contact points of a body and of an indenter's pose that have the same wrong scale lie on the
-    surface, and a learned response has no length: no reading shows it.
-    """
-    mesh = data.body.mesh
-    middle = mesh.bounds.mean(axis=0)
-    height = np.einsum("fi,fi->f", mesh.triangles_center - middle, mesh.face_normals)
-    mean = float(np.sqrt(np.average(height**2, weights=mesh.area_faces)))
-    least = LEAST_HEIGHT * float(np.linalg.norm(np.ptp(mesh.bounds, axis=0)))
-    return np.asarray((points - middle) / max(mean, least))
-
-
-def local_means(data: Measurements, distance: Array) -> tuple[Array, Array]:
-    """Means (n,), m, of the distances (m,), m, of each taxel's contact points from the believed
-    surface, weighted by pressure squared, and their variances (n,), m^2; zeros without readings
-    above zero.
-    """
-    weight, n, h = data.pressure**2, len(data.ids), distance[data.contact]
-    share = weight / np.maximum(np.bincount(data.taxel, weight, n), 1e-300)[data.taxel]
-    mean = np.asarray(np.bincount(data.taxel, share * h, n), dtype=float)
-    scatter = float(np.sum((h - mean[data.taxel]) ** 2)) / max(len(h) - n, 1)
-    return mean, np.asarray(scatter * np.bincount(data.taxel, share**2, n))
-
-
-def _normal_variance(data: Measurements, distance: Array) -> Array:
-    """Variance (n,), m^2, of the surface under each taxel along its normal, by the distances (m,),
-    m, of its contact points; of a taxel without readings, by those of all.
-    """
-    mean, variance = local_means(data, distance)
-    return np.where(data.counts > 0, mean**2 + variance, np.mean(distance**2))
 
 
 def displacement(distance: Array, normals: Array) -> Array:
@@ -186,6 +148,13 @@ class Motion:
     def none(cls, points: Array) -> Motion:
         """No motion, about the middle of the points (m, 3), m."""
         return cls(points.mean(axis=0), np.zeros(3), np.zeros(3), 0.0, np.zeros((7, 7)))
+
+    def among(self, motions: Array) -> Motion:
+        """One of equally likely motions (q, 7), of shift, turn and stretch about this one's middle:
+        their mean, and their covariance about it."""
+        mean = motions.mean(axis=0)
+        off = motions - mean
+        return Motion(self.middle, mean[:3], mean[3:6], float(mean[6]), off.T @ off / len(off))
 
     @classmethod
     def explaining(
@@ -263,7 +232,8 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     """The motion of the contact points (m, 3) that displaces the taxels, too.
 
     It is none where a body of another size, scaled or offset along its normals, explains the
-    distances (m,), m, better: its taxels are where the contacts are. One with turn and scale, or
+    distances (m,), m, better: its taxels are where the contacts are. Where contact points of
+    another scale do so as well, that counts by half. One with turn and scale, or
     with a turn alone where that runs far off, must leave a tenth of what the simpler ones leave,
     and the moved points must lie as near: a large one on a small part of the body fits its dents to
     first order only. Distances that none of these
@@ -279,7 +249,8 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
 
     rests = [distance - normals @ shift]
     for size in (np.ones(len(distance)), np.einsum("mi,mi->m", points, normals)):
-        rests.append(distance - (size @ distance) / max(float(size @ size), 1e-300) * size)
+        size_factor = float(size @ distance) / max(float(size @ size), 1e-300)
+        rests.append(distance - size_factor * size)
     squares = [float(np.sum(rest**2)) for rest in rests]
     whole, (simple, scatter) = left(distance)[0], left(rests[int(np.argmin(squares))])
     facets = getattr(data.body, "facets", None)  # an exact surface has none
@@ -287,7 +258,7 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
     enough = MAX_LEFT * whole + scatter
     moves = squares[0] < min(squares[1:]) and simple <= enough
-    for entries, linearizations in ((7, 1), (6, REGISTRATIONS)):
+    for entries, linearizations in ATTEMPTS:
         apart, across = distance, normals
         for _ in range(linearizations):
             found = Motion.explaining(bounds, points, apart, across, entries)
@@ -301,7 +272,10 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
             return found
     none = Motion.none(points)
     if simple <= enough:
-        return replace(none, shift=shift) if moves else none
+        parts = [np.append(moves * shift, np.zeros(4))]
+        if left(rests[2])[0] <= enough:
+            parts.append(size_factor * np.append(none.middle, [0.0, 0.0, 0.0, 1.0]))
+        return none.among(np.array(parts))
     size = max(float(np.median(np.abs(distance))), float(np.linalg.norm(shift)))
     if size > SURFACE_DEPTHS[1] * data.indentation:
         none.covariance[:3, :3] = float(np.sum(np.ptp(bounds, axis=0) ** 2)) / 12 * np.eye(3)

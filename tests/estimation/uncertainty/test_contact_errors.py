@@ -11,7 +11,7 @@ import trimesh
 import meshskin as ms
 from meshskin.estimation.calibrate import METHODS
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.uncertainty import contact_errors
+from meshskin.estimation.uncertainty import contact_errors, surface_errors
 from meshskin.geometry.region import Cap
 from meshskin.recording.recording import Recording
 
@@ -54,7 +54,7 @@ def test_a_taxel_that_reads_zero_leaves_the_means_of_others():
         ids=np.arange(2), taxel=np.array([0, 0, 1]), contact=np.arange(3),
         pressure=np.array([1.0, 1.0, 0.0]),
     )  # fmt: skip
-    mean, variance = contact_errors.local_means(data, np.array([1e-3, 3e-3, 5e-3]))
+    mean, variance = surface_errors.local_means(data, np.array([1e-3, 3e-3, 5e-3]))
     np.testing.assert_allclose(mean, [2e-3, 0.0])
     assert np.isfinite(variance).all()
 
@@ -155,7 +155,7 @@ def test_waves_of_the_surface_are_in_the_normal_variance(noisy, log):
 def test_scatter_of_the_contact_points_averages_out(noisy, log):
     data = gather(log, noisy.belief())
     distance = np.random.default_rng(0).normal(scale=1e-4, size=len(data.points))
-    mean, variance = contact_errors.local_means(data, distance)
+    mean, variance = surface_errors.local_means(data, distance)
     assert np.mean(mean**2 / variance) == pytest.approx(1.0, rel=0.3)
     concentration = np.bincount(data.taxel, data.pressure**4)
     concentration /= np.bincount(data.taxel, data.pressure**2) ** 2
@@ -404,3 +404,19 @@ def test_dents_under_a_small_skin_are_no_far_motion_of_the_body():
     found = ms.calibrate(moved(log, dents[:, None] * normals), scene.belief())
     assert np.linalg.norm(found.positions - skin.positions, axis=1).max() < 0.1e-3
     assert found.position_sigma.max() < 2e-3
+
+
+def test_contact_points_of_another_scale_count_by_half():
+    """1 % larger about the origin of the frame, which a body 1 % smaller explains as well: taxels
+    at 150 mm along a cylinder may be displaced along it by 1.5 mm, or not at all."""
+    body, rng = ms.Body.capsule(radius=0.04, length=0.4), np.random.default_rng(0)
+    angle, z = rng.uniform(-0.8, 0.8, 400), rng.uniform(0.13, 0.17, 400)
+    normals = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(400)])
+    points = 1.01 * (0.04 * normals + z[:, None] * [0.0, 0.0, 1.0])
+    data = SimpleNamespace(
+        pressure=np.ones(400), ids=np.arange(40), taxel=np.arange(400) % 40,
+        contact=np.arange(400), body=body, indentation=1.3e-3,
+    )  # fmt: skip
+    hit = body.closest(points)
+    squares = contact_errors.motion(data, points, hit.distance, hit.normal).squares(points)
+    assert np.sqrt(squares[:, 2, 2].mean()) == pytest.approx(1.5e-3 / 2**0.5, rel=0.05)
