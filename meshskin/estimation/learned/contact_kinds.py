@@ -18,7 +18,6 @@ import numpy as np
 
 from ...core.arrays import Array
 from ..joint.departures import MIN_SCORE
-from ..joint.jump import MIN_SHOWN
 from .contact_correlations import MIN_CONTACTS, tangents
 from .random_effects import RandomEffects
 
@@ -27,6 +26,10 @@ MIN_SHARE = 0.05
 MIN_APART = 0.05, 6.0
 """Least distance of the means, in contact radii and in standard deviations of a kind: uniform
 errors along a line, of which two kinds make halves, are 3.5 apart, or 5 with none across it."""
+MIN_SEEN = 0.1
+"""Mean square of a direction's part along the surface, relative to the largest, from which the mean
+of a kind is estimated in it: a skin that covers a small part of a ball hardly shows its normal, in
+which errors of forces passed for a displacement by 6 mm."""
 SHARES = (0.2, 0.5, 0.8)
 """Shares of the second kind from which the means are sought."""
 MAX_CONTACTS = 1000
@@ -149,7 +152,7 @@ class _Displacements:
             odds = np.exp(log_likelihood - total)
             normal = np.einsum("qm,mai,maj->qij", odds, self.tangents, self.tangents)
             right = np.einsum("qm,mai,qma->qi", odds, self.tangents, found)
-            inverse = np.linalg.pinv(normal, rcond=MIN_SHOWN, hermitian=True)
+            inverse = np.linalg.pinv(normal, rcond=MIN_SEEN, hermitian=True)
             means = np.einsum("qij,qj->qi", inverse, right)
             off = found - np.einsum("mai,qi->qma", self.tangents, means)
             square = float(np.sum(odds * (np.sum(off**2, axis=2) + variance))) / (2 * len(total))
