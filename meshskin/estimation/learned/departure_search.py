@@ -99,7 +99,7 @@ def with_departures(
         extended, first, converged = _with_departure(effects, begin, name, start)
         gain = _objective(effects) - _objective(extended) if converged is not None else -np.inf
         # a small departure gains half its squared score; LATE have that of a variance
-        least = LEAST_GAIN * left[name] ** 2 / 2 if name not in LATE else 0.0
+        least = LEAST_GAIN * (left[name] if name not in LATE else MIN_SCORE) ** 2 / 2
         reached = plausible(extended, name)
         if not (reached and gain > least):
             spent += effects.stage.done - before
