@@ -112,7 +112,7 @@ _STUDIES: tuple[tuple[str, str, str, str, tuple[str, ...], str], ...] = (
     ),
     (
         "real_bodies", "Bodies of real robots",
-        "DATA --only 'UR3e forearm' 'iCub left shank'",
+        "DATA --only 'UR3e forearm'",
         "DATA --out figures/ --full", ("real_bodies.png",), "icub_body",
     ),
     (
