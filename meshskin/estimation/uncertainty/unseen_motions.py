@@ -75,10 +75,12 @@ def _motions(points: Array, normals: Array, variance: float) -> list[tuple[Array
 
 
 def _in_words(axis: Array, direction: Array, about: Array) -> str:
-    def vector(x: Array, form: str) -> str:
-        sign = np.sign(x[np.argmax(np.abs(x))]) if form == ".2f" else 1.0
-        return "(" + ", ".join(format(value + 0.0, form) for value in np.round(sign * x, 3)) + ")"
+    def vector(x: Array, digits: int) -> str:
+        return "(" + ", ".join(f"{value + 0.0:g}" for value in np.round(x, digits)) + ")"
+
+    def unsigned(x: Array) -> str:
+        return vector(np.sign(x[np.argmax(np.abs(x))]) * x, 2)
 
     if not axis.any():
-        return f"a displacement along {vector(direction, '.2f')}"
-    return f"a turn about {vector(axis, '.2f')} through {vector(1e3 * about, '.3g')} mm"
+        return f"a displacement along {unsigned(direction)}"
+    return f"a turn about {unsigned(axis)} through {vector(1e3 * about, 1)} mm"

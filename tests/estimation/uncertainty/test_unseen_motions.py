@@ -31,7 +31,7 @@ def test_a_slide_along_a_cylinder_is_named(moved):
     assert np.median(error[:, 2]) == pytest.approx(moved, abs=0.05e-3)
     assert np.median(found.position_sigma) < 0.1e-3
     (words,) = [words for words in found.undetermined if "surface does not show" in words]
-    assert "a displacement along (0.00, 0.00, 1.00), a turn about (0.00, 0.00, 1.00)" in words
+    assert "a displacement along (0, 0, 1), a turn about (0, 0, 1) through" in words
 
 
 def test_a_ball_turns_about_its_middle():
