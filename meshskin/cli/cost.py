@@ -32,7 +32,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="subset of faces, degree, contact, dt, integrator, lanes, rate, method, tolerance",
     )
     parser.add_argument(
-        "--full", action="store_true", help="3 seeds, and a reference that is twice as fine"
+        "--full",
+        action="store_true",
+        help="3 seeds where --seeds is not given, and a reference that is twice as fine",
     )
     parser.add_argument("--quiet", action="store_true", help="print no progress bar and no table")
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..core.arguments import check_name
 from ..core.errors import ConfigError
+from . import body_options
 from .belief_options import belief_of
 from .log import add_scan, summary
 from .options import real, refuse
@@ -94,11 +95,12 @@ def from_log(options: argparse.Namespace, progress: Progress | None) -> FromLog:
     _check(options)
     log_map = LogMap.load(options.map)
     log = read_log(options.recording, log_map, progress=True, scan=options.scan)
-    robot = None if options.indenter_mm is None else Robot.from_urdf(options.body, options.folder)
+    of_urdf = options.body is not None and not body_options.is_mesh(options.body)
+    robot = Robot.from_urdf(options.body, options.folder) if of_urdf else None
     frames = log_frames(log, log_map, robot)
     belief = belief_of(options, frames.skin_log.taxel_ids)
     lines = [*(f"  note: {note}" for note in log.notes), *summary(frames, log)]
-    if robot is None:
+    if robot is None or options.indenter_mm is None:
         recording = recording_from_log(log, log_map, frames)
         return FromLog(recording, belief, lines, frames.skin_log)
     found, robot = _calibrate_joints(options, robot, frames.skin_log, belief, progress)

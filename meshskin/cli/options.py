@@ -58,7 +58,8 @@ def integer(least: int) -> Callable[[str], int]:
 
 def given(options: argparse.Namespace, names: Iterable[str]) -> str:
     """Those of the options that were given, as on the command line; "" for none."""
-    found = [name for name in names if getattr(options, name, None) not in (None, False, [])]
+    values = {name: getattr(options, name, None) for name in names}
+    found = [k for k, v in values.items() if v is not None and v is not False and v != []]
     return ", ".join(f"--{name.replace('_', '-')}" for name in found)
 
 

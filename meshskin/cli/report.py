@@ -41,7 +41,7 @@ def command(options: argparse.Namespace) -> int:
     from ..estimation.cross_validation import CrossValidation
 
     if options.body is None:
-        refuse(options, body_options.NAMES, "{} is for a mesh", "give --body, too")
+        refuse(options, body_options.NAMES, "{} is for the body", "give --body, too")
     folder = options.results
     found = Calibration.load(folder / "calibration")
     metrics = _metrics(folder)

@@ -122,7 +122,7 @@ def one_clock(pairs: Pairs, offsets: tuple[ClockOffset, ...]) -> tuple[Pairs, li
     """The streams with the wrench on the clock of the joints, and the note on it, where the offset
     of the skin by force differs from that by motion."""
     best = {one.by: one for one in reversed(offsets) if one.usable}
-    if len(best) < 2:
+    if len(best) < 2 or any(m.kind == WRENCH and m.delay is not None for _, m in pairs):
         return pairs, []
     force, motion = best["force"], best["motion"]
     late = motion.offset - force.offset
@@ -153,7 +153,7 @@ def clock_offset(
     None where fewer than MIN_CONTACTS contacts tell it: those in one place, whose path returns
     along one line and whose readings follow it.
     """
-    path = _Path.of(state_times, states, float(np.median(np.diff(times))))
+    path = _Path.of(state_times, states, float(np.median(np.diff(np.unique(times)))))
     stretches = runs(in_contact)
     count = min(len(stretches), MAX_CONTACTS)
     found = []

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array, nearest_rows, robust_sigma
 from ..core.config import STANDARD_GRAVITY
-from ..core.errors import ConfigError, RecordingError
+from ..core.errors import ArmError, ConfigError, RecordingError
 from ..robot.robot import Robot
 from .log_map import StreamMap
 from .stream import Stream
@@ -106,16 +106,21 @@ def _weight(
     forces (n, 3), N, of that weight, NaN where angles are missing, and its mass, kg; None where
     the log has the joints of no link.
     """
-    used = np.flatnonzero(rest & np.isfinite(angles).all(axis=1))
-    used = used[:: 1 + len(used) // MAX_FRAMES]
     best = None
-    for joint in robot.tree.joints if len(used) else ():
+    for joint in robot.tree.joints:
         if joint.kind == "fixed":
             continue
-        chain = robot.chain(joint.child, robot.root)
+        try:
+            chain = robot.chain(joint.child, robot.root)
+        except ArmError:  # beyond a joint of a kind that chains do not have
+            continue
         if not set(chain.joint_names) <= set(joint_names):
             continue
         columns = np.array([list(joint_names).index(name) for name in chain.joint_names])
+        used = np.flatnonzero(rest & np.isfinite(angles[:, columns]).all(axis=1))
+        used = used[:: 1 + len(used) // MAX_FRAMES]
+        if not len(used):
+            continue
         turn = chain.poses(angles[np.ix_(used, columns)])[:, :3, :3]
         for vertical in VERTICALS:
             map_, left = _fitted(turn @ vertical, force[used])

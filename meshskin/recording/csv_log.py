@@ -79,7 +79,7 @@ def read(file: Path, part: str) -> pa.Table:
             raise RecordingError(
                 f"a column of {file.name} has an unknown unit or occurs twice",
                 value=label,
-                limit=f"{name}{', '.join(f' or {name}_{unit}' for unit in units if unit)}",
+                limit=" or ".join(f"{name}_{unit}" if unit else name for unit in units),
                 remedy="rename or remove it",
             )
         numbers = _integers(values, file) if name == "taxel" else _numbers(values, label, file)

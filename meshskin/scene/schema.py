@@ -142,12 +142,13 @@ class SkinTable:
                 value=" and ".join(kinds) or "none",
                 limit=f"one of {', '.join(_REGIONS)}",
             )
-        region: Region = from_table(_REGIONS[kinds[0]], table, where)
-        for key in ("direction", "normal"):
-            if not np.any(getattr(region, key, 1.0)):
+        for key in {"direction", "normal"} & set(table):
+            vector = np.atleast_1d(np.array(table[key], dtype=object))
+            if vector.shape != (3,) or not vector.any():
                 raise ConfigError(
                     f"{where}.{key} must be a nonzero vector of 3 numbers", value=table[key]
                 )
+        region: Region = from_table(_REGIONS[kinds[0]], table, where)
         return region
 
     def make(self, body: Body, folder: Path) -> Skin:

@@ -187,7 +187,7 @@ def test_the_page_gets_what_the_folder_and_its_inputs_hold(folder, capsys, monke
     assert cli.main(["report", str(folder / "figures")]) == 2
     capsys.readouterr()
     assert cli.main(["report", str(folder), "--units", "mm"]) == 2
-    assert "--units is for a mesh; give --body, too" in capsys.readouterr().err
+    assert "--units is for the body; give --body, too" in capsys.readouterr().err
     robot = ["--body", str(folder / "toy.urdf"), "--link", "palm", "--folder", str(folder)]
     assert cli.main(["report", str(folder), *robot]) == 2
     assert "toy.urdf" in capsys.readouterr().err

@@ -1,5 +1,6 @@
 """Contact forces by a sensor that carries a tool, against pinocchio's kinematics."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import meshskin as ms
 from meshskin.recording.contact_force import contact_force
 from meshskin.recording.log_map import StreamMap
 from meshskin.recording.stream import Stream
+from meshskin.robot.urdf import UrdfTree
 
 PUMA = Path(__file__).parents[2] / "bodies" / "puma560.urdf"
 GIVEN = StreamMap("/wrench", "wrench")
@@ -81,3 +83,18 @@ def test_a_sensor_without_a_tool_is_left_as_it_is():
     with_robot, notes = found(world, ms.Robot.from_urdf(PUMA))
     assert notes == []
     np.testing.assert_array_equal(with_robot, found(world, None)[0])
+
+
+def test_joints_that_the_weight_does_not_need_do_not_matter():
+    """A gripper that never reports, and a base that floats."""
+    time, touched, truth, wrench, angles = stroking(1)
+    cart = '<joint name="cart" type="floating"><parent link="{}"/><child link="cart"/></joint>'
+    robot = ms.Robot.from_urdf(PUMA)
+    text = robot.text.replace("</robot>", f'<link name="cart"/>{cart.format(robot.root)}</robot>')
+    robot = replace(robot, text=text, tree=UrdfTree(text))
+    stream = Stream("/wrench", "", time, wrench, tuple("abcdef"), "wrench", "N")
+    more = np.column_stack([angles, np.full(len(time), np.nan)])
+    names = (*NAMES, "gripper")
+    force, notes = contact_force(time, touched, [(stream, GIVEN)], robot, names, more)
+    assert "carries 0.8" in notes[0]
+    assert np.sqrt(np.mean((force - truth)[touched] ** 2)) < 0.1

@@ -156,3 +156,14 @@ def test_a_level_that_jumps_for_good_is_told():
 def test_a_log_of_two_frames_is_refused():
     with pytest.raises(RecordingError, match="never answers: it has 2 frames"):
         tare(np.arange(2.0), np.ones((2, 3)))
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.int16, np.float32])
+def test_ranges_of_whole_numbers_do_not_wrap(kind):
+    """From -100 to 100, which is more than the largest int8."""
+    times = 0.02 * np.arange(3000)
+    pressed = (np.arange(3000) // 100) % 3 == 1
+    counts = np.where(pressed, 100, -100) + np.random.default_rng(0).integers(-2, 3, 3000)
+    found = tare(times, counts.astype(kind)[:, None], "rising", "skin")
+    assert found.glitches == 0
+    assert np.mean(found.in_contact == pressed) > 0.99

@@ -12,6 +12,7 @@ import numpy as np
 from ...core.arrays import Array, spread_rows
 from ...scene.belief import Belief
 from .. import chart
+from ..data.global_parameters import nuisance_unit
 from ..data.measurements import Measurements
 from ..result import CENSORING, MOSTLY_OUTLIERS, SURFACE, EstimatorResult
 from ..trilateration import trilaterate
@@ -182,7 +183,7 @@ def _taxel_unknowns(estimator: JointEstimator, covariance: Array) -> dict[str, A
         for part, missing in each
     ]
     for k, name in enumerate(data.parameters.nuisance_names):
-        unit = 1.0 if name == "gain" else data.sigma
+        unit = nuisance_unit(name, data.sigma)
         found[name] = np.stack([part[:, k] * unit for part in values], axis=1)
     return found
 

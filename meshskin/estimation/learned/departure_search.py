@@ -203,6 +203,9 @@ def plausible(extended: RandomEffects, name: str) -> bool:
     s, sigma = extended.unknowns.s[at], parameters.sigma[at]
     largest = MAX_FILTERED if name == "creep" else MAX_SHARE
     small = name not in ELECTRONICS or bool(np.all(np.abs(s[:1]) <= largest))
+    if name == "skew":  # all channels are read within a frame: half of it is the largest deviation
+        frame = np.linalg.norm(np.diff(extended.data.points, axis=0), axis=1)
+        small = extended.deviations.skew <= float(np.median(frame)) / 2
     return bool(small and np.all(np.abs(s) <= MAX_SIGMAS * sigma))
 
 

@@ -87,6 +87,7 @@ def learned_result(
     apart = np.nan_to_num(rivals.points - points)
     tangential += tangential_square(rotations[:, :, :2], apart)
     changed, reasons = gain_changes(effects.fitted()), reasons.copy()
+    changed &= fit.good is not False  # the misfit of the response would pass for it
     reasons[live], reasons[live[estimator.broken]] = "", MOSTLY_OUTLIERS
     reasons[live[changed]], lost = GAIN_CHANGES, estimator.broken | changed
     infinite = np.diag([np.inf, np.inf])

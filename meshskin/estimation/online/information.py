@@ -14,7 +14,7 @@ import numpy as np
 
 from ...core.arrays import Array, sums_by_group
 from ..chart import Charts
-from ..data.global_parameters import GlobalParameters
+from ..data.global_parameters import GlobalParameters, nuisance_unit
 
 
 class TaxelInformation:
@@ -167,7 +167,7 @@ class TaxelInformation:
 def _precisions(parameters: GlobalParameters, unit: float) -> Array:
     """Prior precisions (D,) of a taxel's own unknowns; unit: as `TaxelInformation`."""
     sigma = [
-        s / (1.0 if name == "gain" else unit)
+        s / nuisance_unit(name, unit)
         for name, s in zip(parameters.nuisance_names, parameters.nuisance_sigma, strict=True)
     ]
     return np.concatenate([np.zeros(2), np.array(sigma) ** -2.0])

@@ -174,14 +174,16 @@ class ContactStore:
 
     def latest(self, count: int) -> Measurements:
         """Measurements of all taxels in the latest contacts, at most `count`."""
-        contacts = np.arange(max(self.count - count, 0), self.count)
-        rows = np.flatnonzero(self.contact.values >= contacts[0])
+        contacts = np.argsort(self.columns["recorded"].values, kind="stable")[-count:]
+        row = np.full(self.count, -1)
+        row[contacts] = np.arange(len(contacts))
+        rows = np.flatnonzero(row[self.contact.values] >= 0)
         rows = rows[np.isfinite(self.pressure.values[rows])]
         return replace(
             self.template,
             points=self.columns["points"].values[contacts],
             time=self.columns["time"].values[contacts],
-            contact=self.contact.values[rows] - contacts[0],
+            contact=row[self.contact.values[rows]],
             taxel=self.taxel.values[rows],
             pressure=self.pressure.values[rows],
             threshold=self.threshold,

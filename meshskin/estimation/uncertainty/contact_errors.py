@@ -236,9 +236,9 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     another scale do so as well, that counts by half. One with turn and scale, or
     with a turn alone where that runs far off, must leave a tenth of what the simpler ones leave,
     and the moved points must lie as near: a large one on a small part of the body fits its dents to
-    first order only. Distances that none of these
-    explains are dents of the body; where they are as large as a failure of the verdict, or ask for
-    such a displacement, the points may be anywhere on the body: its extents are the covariance.
+    first order only. Distances that none of these explains are dents of the body; where they are as
+    large as a failure of the verdict, or ask for such a displacement, the points may be anywhere on
+    the body: its extents are the covariance.
     """
     shift = displacement(distance, normals)
 
@@ -248,7 +248,8 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
         return float(np.sum(mean**2)), 2 * float(np.sum(variance))
 
     rests = [distance - normals @ shift]
-    for size in (np.ones(len(distance)), np.einsum("mi,mi->m", points, normals)):
+    heights = np.einsum("mi,mi->m", points, normals) - distance  # of the surface below them
+    for size in (np.ones(len(distance)), heights):
         size_factor = float(size @ distance) / max(float(size @ size), 1e-300)
         rests.append(distance - size_factor * size)
     squares = [float(np.sum(rest**2)) for rest in rests]
@@ -273,7 +274,8 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     none = Motion.none(points)
     if simple <= enough:
         parts = [np.append(moves * shift, np.zeros(4))]
-        if left(rests[2])[0] <= enough:
+        far = size_factor**2 * np.sum(points**2) > MAX_SLIDE**2 * np.sum(distance**2)
+        if not far and left(rests[2])[0] <= enough:
             parts.append(size_factor * np.append(none.middle, [0.0, 0.0, 0.0, 1.0]))
         return none.among(np.array(parts))
     size = max(float(np.median(np.abs(distance))), float(np.linalg.norm(shift)))

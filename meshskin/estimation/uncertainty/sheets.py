@@ -39,7 +39,7 @@ def covariance(body: Any, points: Array, normals: Array) -> Array:
             (cosine > SHEET_FACING) & (apart < SHEET_STEP) & (apart > np.maximum(height, SAME))
         )
         height = np.where(farther, apart, height)
-        tilt = np.where(farther, np.arccos(np.minimum(cosine, 1.0)), tilt)
+        tilt = np.where(farther, np.arccos(np.clip(cosine, -1.0, 1.0)), tilt)
     out[rows, 2, 2] = height**2
     out[rows, 3, 3] = out[rows, 4, 4] = tilt**2
     return out

@@ -204,13 +204,18 @@ def _stream(
 
 def _check_times(stream: Stream, column: str, unit: str) -> None:
     """Refuse times that cannot be in their unit."""
-    late = len(stream) > 0 and not np.abs(stream.times).max() < LATEST
+    if lost := int(np.sum(~np.isfinite(stream.times))):
+        raise RecordingError(
+            f"rows of {stream.name} have no time", value=f"{lost} of {len(stream)}",
+            remedy="remove them from the file",
+        )  # fmt: skip
+    late = len(stream) > 0 and np.abs(stream.times).max() >= LATEST
     paced = stream.kind == CONTACTS or not stream.period
     if late or not (paced or STEPS[0] <= stream.period < STEPS[1]):
         raise RecordingError(
             f"the times of {stream.name} cannot be in {unit}",
             value=f"{column} from {stream.times[0]:g} s in steps of {stream.period:g} s",
-            limit=f"steps of {STEPS[0]:g} to {STEPS[1]:g} s",
+            limit=f"steps of {STEPS[0]:g} to {STEPS[1]:g} s, below {LATEST:g} s",
             remedy='give their time_unit in the map, "s", "ms", "us" or "ns", or name the column '
             "with its unit, time_ms",
         )

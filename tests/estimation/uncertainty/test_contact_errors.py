@@ -420,3 +420,23 @@ def test_contact_points_of_another_scale_count_by_half():
     hit = body.closest(points)
     squares = contact_errors.motion(data, points, hit.distance, hit.normal).squares(points)
     assert np.sqrt(squares[:, 2, 2].mean()) == pytest.approx(1.5e-3 / 2**0.5, rel=0.05)
+
+
+@pytest.mark.parametrize(("top", "scatter"), [(0.0, 0.0), (0.0, 2e-5), (5e-4, 0.0)])
+def test_a_flat_skin_in_the_origin_of_its_frame_tells_no_size(top, scatter):
+    """The heights of its contact points about the origin are their own errors."""
+    box = trimesh.creation.box((0.3, 0.1, 0.02))
+    for _ in range(4):
+        box = box.subdivide()
+    box.apply_translation((0.0, 0.0, top - 0.01))
+    body, rng = ms.Body.from_mesh(box), np.random.default_rng(0)
+    disc = ms.Disc((0.08, 0.0, top), 0.03)
+    skin = ms.Skin.cover(body, spacing=7e-3, count=12, seed=1, region=disc)
+    scene = ms.Scene.load("sphere_noisy").with_(body=body, skin=skin)
+    near = skin.positions[rng.integers(12, size=300)]
+    near += rng.normal(scale=5e-3, size=(300, 3)) * [1.0, 1.0, 0.0]
+    log = ms.press(scene, body.closest(near).point, seed=1)
+    off = [0.0, 0.0, 0.1 * top] + scatter * rng.normal(size=(300, 3)) * [0.0, 0.0, 1.0]
+    found = ms.calibrate(log.with_columns(points=log.points + off), scene.belief())
+    assert found.verdict.level == "PASS"
+    assert np.nanmedian(found.position_sigma) < 2e-4
