@@ -312,6 +312,8 @@ def test_a_world_outside_the_family_is_named_or_its_errors_stated(study, worlds,
     assert found.verdict.level != "PASS" or np.sqrt(np.mean(off**2)) < 1.5 * stated
     if not name.endswith("turns"):  # where the directions average out to scatter, PASS is right
         assert found.verdict.level != "PASS"
+    if name == "oblong_13":  # lags of each taxel would stand in for the shape of the patches
+        assert np.sqrt(np.mean(off**2)) < 0.5e-3
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
