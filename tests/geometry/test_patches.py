@@ -301,7 +301,7 @@ def test_every_region_can_be_given_in_a_scene(ball, tmp_path, table, region):
         ("{point_mm = [0, 0, 100], radius_mm = -3}", "disc.radius is out of range"),
         ("{point_mm = [0, 0, 100]}", "lacks radius"),
         ("{normal = [0, 0, 0], offset_mm = 0}", "normal must be a nonzero vector of 3"),
-        ("{direction = 3}", "direction must be a tuple of 3 numbers"),
+        ("{direction = 3}", "region.direction must be a nonzero vector of 3 numbers"),
     ],
 )
 def test_wrong_regions_in_a_scene_are_refused(tmp_path, table, match):
