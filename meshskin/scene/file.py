@@ -77,14 +77,16 @@ def _extended(file: Path, name: Any) -> Path:
 
 
 def _located(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The tables of a scene with its relative paths from `folder` on; those that are not there are
-    names of shipped files."""
+    """The tables of a scene with its relative paths from `folder` on, but for shipped files that
+    are not there."""
 
     def located(value: Any) -> Any:
         if isinstance(value, list):
             return [located(item) for item in value]
-        there = isinstance(value, str) and (folder / value).exists()
-        return str(folder / value) if there else value
+        if not isinstance(value, str):
+            return value
+        shipped = (shipped_scenes.folder() / value).exists() and not (folder / value).exists()
+        return value if shipped else str(folder / value)
 
     found = dict(tables)
     for table, keys in _PATHS.items():

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import meshskin as ms
-from meshskin.core.errors import ConfigError, UnknownNameError
+from meshskin.core.errors import ConfigError, SkinError, UnknownNameError
 from meshskin.geometry.region import Cap
 
 
@@ -109,3 +109,12 @@ def test_the_angle_of_a_skin_needs_a_direction(tmp_path):
 def test_a_cap_has_an_angle_in_radians():
     with pytest.raises(ConfigError, match=r"got 30 rad, limit: at most 3\.14"):
         Cap((0.0, 0.0, 1.0), 30.0)
+
+
+def test_a_file_that_an_extended_scene_lacks_is_sought_beside_that_scene(tmp_path):
+    (tmp_path / "sub").mkdir()
+    parent = 'extends = "sphere"\n[skin]\nfile = "taxels.csv"\n'
+    (tmp_path / "sub" / "parent.toml").write_text(parent)
+    (tmp_path / "child.toml").write_text('extends = "sub/parent"\n')
+    with pytest.raises(SkinError, match=r"sub.taxels\.csv"):
+        ms.Scene.load(tmp_path / "child.toml")
