@@ -67,7 +67,8 @@ class SkinTable:
         """
         rotations, quaternions = poses[:, :3, :3], np.zeros((len(poses), 4))
         off = np.abs(np.swapaxes(rotations, 1, 2) @ rotations - np.eye(3)).max(axis=(1, 2))
-        valid = (off < 5 * FRAME_TOLERANCE) & (np.linalg.det(rotations) > 0.0)  # False for NaN
+        # three printed digits leave up to 2e-3 in R^T R; the comparison is False for NaN
+        valid = (off < 5 * FRAME_TOLERANCE) & (np.linalg.det(rotations) > 0.0)
         quaternions[valid] = se3.quaternion(rotations[valid])
         columns = np.array(ids, dtype=np.int64), poses[:, :3, 3], poses[:, :3, 2], quaternions
         return cls(format, *columns, disc_radius, sigmas=sigmas, frame=frame)
