@@ -29,6 +29,9 @@ one of 20 sound ones is with a probability of 1 %."""
 MIN_CHANCE = 0.01
 """Probability of all unknowns together, under what was believed of them, from which they contradict
 it: about that of one beyond SURPRISE."""
+AT_REST = 0.3
+"""Move of the contacts in the last round, relative to the taxels' median standard deviation, up to
+which they are at rest: it would add 4 % to that."""
 MAX_DEPTH_FACTOR = 2.2
 """Depth of the indentations, relative to that under the believed material and force, or its
 inverse, from which the indenter's height is in doubt: beyond 3^(2/3) = 2.08, the depth under an E*
@@ -163,7 +166,8 @@ class LogCalibration(Value, Card):
                 f"factor of {MAX_DEPTH_FACTOR:g}): an error of the indenter's height or radius "
                 "would look like this; check both, the force and Young's modulus"
             )
-        if self.moved:
+        stated = self.calibration.position_sigma
+        if self.moved > AT_REST * np.median(stated[np.isfinite(stated)]):
             found.append(
                 f"contacts still moved by {1e3 * self.moved:.2g} mm in the last of {self.rounds} "
                 "rounds: the standard deviations can be too small; calibrate again from what was "
