@@ -36,6 +36,13 @@ def huber_weights(r: Array, sigma: float) -> Array:
     return np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(r), 1e-300)) / sigma**2
 
 
+def huber_cost(r: Array, limit: float = HUBER) -> float:
+    """Sum of Huber's costs of residuals (m,), in standard deviations, that grow linearly from
+    `limit` on."""
+    size = np.abs(r)
+    return float(np.sum(np.where(size < limit, size**2 / 2, limit * size - limit**2 / 2)))
+
+
 def robust_sigma(values: Array) -> float:
     """Standard deviation of normal variables of mean zero, estimated from the median of their
     absolute values, which a minority of outliers hardly changes. values (n,), one or more."""

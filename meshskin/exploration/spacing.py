@@ -1,6 +1,6 @@
 """Spacing of the lanes and contacts of an exploration, for a wanted number of contacts.
 
-Contacts are wanted in number: the error of a taxel falls with the root of the number that it feels.
+The error of a taxel falls with the square root of the number of contacts that it feels.
 """
 
 from __future__ import annotations

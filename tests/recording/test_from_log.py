@@ -75,8 +75,9 @@ def test_a_late_wrench_moves_itself_and_not_the_skin(streams):
     np.testing.assert_allclose(found.force, ROBOT.force_at(found.time), atol=0.12)
     (note,) = frames.notes
     assert re.match(r"the wrench is (59|60)\.\d ms late against the joints", note)
-    given = LogMap((MAP.streams[0], replace(MAP.streams[1], delay=0.06), MAP.streams[2]))
-    assert not log_frames(log_of({**streams, "/wrench": (times + 0.06, wrench)}), given).notes
+    for delay in (0.06, 0.055):  # what the map says is not changed
+        given = LogMap((MAP.streams[0], replace(MAP.streams[1], delay=delay), MAP.streams[2]))
+        assert not log_frames(log_of({**streams, "/wrench": (times + 0.06, wrench)}), given).notes
 
 
 def test_what_is_odd_in_the_readings_is_noted():

@@ -216,6 +216,14 @@ def test_times_that_cannot_be_in_their_unit_are_refused(tmp_path, column, times)
         read_log(path, TAXELS)
 
 
+def test_rows_without_a_time_are_counted(tmp_path):
+    times = 0.02 * np.arange(N)
+    times[3] = np.nan
+    path = parquet(tmp_path / "log.parquet", {"time": times, "skin_1": np.ones(N)})
+    with pytest.raises(RecordingError, match=rf"have no time, got 1 of {N}; remove them"):
+        read_log(path, TAXELS)
+
+
 @pytest.mark.parametrize("first", ["0", ""])
 def test_a_column_of_whole_or_missing_numbers_may_have_decimals_later(tmp_path, first):
     rows = [f"{k / 50:.2f},{first if k < 30_000 else 1.25},{'200,' * 9}200" for k in range(40_000)]

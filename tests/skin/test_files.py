@@ -417,3 +417,8 @@ def test_a_truncated_ply_file_is_refused(tmp_path):
     (tmp_path / "truncated.ply").write_text(text[:-20])
     with pytest.raises(SkinError, match="taxel row 9, got 6 numbers"):
         Skin.load(tmp_path / "truncated.ply")
+
+
+def test_rotations_of_three_digits_are_read(skin, tmp_path):
+    np.savez(tmp_path / "short.npz", poses=np.round(skin.poses, 3)[:, :3])
+    assert_same(Skin.load(tmp_path / "short.npz"), replace(skin, ids=np.arange(40)), atol=2e-3)

@@ -52,8 +52,8 @@ MOVES = ("indenter_offset", "body_offset", "drag", "friction", MOTION)
 """Global parameters that move the recorded contacts, not the readings of a contact in its place."""
 NUISANCE = ("gain", "offset", "drift", "skew")
 """Parameters of each taxel beside its position."""
-LATE = ("drift", "skew")
-"""Those that are estimated where the readings show them."""
+OWN_DEPARTURES = ("drift", "skew")
+"""Those that are estimated only where the readings show them."""
 PRIORS = {
     "modulus": 1.0,
     "force_scale": 0.3,
@@ -91,7 +91,7 @@ ELECTRONICS = ("hysteresis", "crosstalk", "creep")
 ERROR_EXPONENT = "exponents of the radius in force errors"
 """Label of the exponent of sizes in a contact's error of ln F, beyond the model's. Without such
 errors there is nothing to determine."""
-DEPARTURES = (*ELECTRONICS, *DRIFTS, *LATE)
+DEPARTURES = (*ELECTRONICS, *DRIFTS, *OWN_DEPARTURES)
 """What makes a reading depend on its taxel's past, on its neighbours or on the time."""
 LEARNED_PRIORS = {"modulus": 0.5, "scale": 0.5}
 """Their priors that differ from PRIORS: readings in a unit of their own say nothing about E*."""

@@ -20,7 +20,7 @@ from itertools import islice
 import numpy as np
 
 from ...core.arrays import Array, sums_by_group
-from ..data.global_parameters import DRIFT_SIZE, LATE
+from ..data.global_parameters import DRIFT_SIZE, OWN_DEPARTURES
 from ..data.measurements import Measurements
 from .coupled_system import CoupledSystem, inner
 from .electronics import WIDTH, Electronics
@@ -88,7 +88,7 @@ class FittedReadings:
         """Score of each departure, in standard deviations, and the start of its parameters; the
         largest first, but last those of each taxel, for which each of the others can stand in."""
         late = self.moved(self.data.headway[:, :, None])[:, 0]
-        own = zip(LATE, (self.data.phase[self.readings.contact], late), strict=True)
+        own = zip(OWN_DEPARTURES, (self.data.phase[self.readings.contact], late), strict=True)
         found, candidates = dict[str, tuple[float, Array]](), self._candidates()
         while few := list(islice(candidates, TOGETHER)):
             names, each, starts = zip(*few, strict=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.arrays import Array
+from ...core.arrays import Array, huber_cost
 from .departures import MIN_SCORE, FittedReadings, fitted_readings, normal_score
 from .fault_detection import CUTOFF, outliers
 from .joint_estimator import JointEstimator
@@ -228,16 +228,10 @@ class _DisplacedResiduals:
             step = -basis @ np.linalg.solve(matrix, slopes.T @ (weight * residuals))
             step *= min(1.0, MAX_STEP / max(float(np.linalg.norm(step)), 1e-300))
             there = self.at(x + step)
-            before, after = _huber(residuals), _huber(there[0])
+            before, after = (huber_cost(r, CUTOFF) for r in (residuals, there[0]))
             damping *= 1 / 3 if after < before else 4.0
             if after < before:
                 x, (residuals, jacobian) = x + step, there
                 if before - after < TOLERANCE * before:
                     break
         return x
-
-
-def _huber(residuals: Array) -> float:
-    """Sum of Huber's costs of residuals in standard deviations."""
-    size = np.abs(residuals)
-    return float(np.sum(np.where(size < CUTOFF, size**2 / 2, CUTOFF * size - CUTOFF**2 / 2)))

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...contact import BATCHED, ContactModel
-from ...core.arrays import HUBER, Array, huber_weights, robust_sigma, sums_by_group
+from ...core.arrays import Array, huber_cost, huber_weights, robust_sigma, sums_by_group
 from ...core.errors import CalibrationError
 from ...geometry.body import Body
 from ...robot.contact_kinematics import JOINT_DELAY, JOINT_OFFSET, ContactKinematics, JointPath
@@ -249,8 +249,7 @@ def _scatter(r: Array) -> float:
 
 def _cost(r: Array, scatter: float) -> float:
     """Huber's cost of residuals (m,), m."""
-    z = np.abs(r) / scatter
-    return float(np.sum(np.where(z < HUBER, z**2 / 2, HUBER * z - HUBER**2 / 2)))
+    return huber_cost(r / scatter)
 
 
 def design_effect(points: Array, residuals: Array, size: float = CELL) -> float:

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from ...core.arrays import Array
-from ..data.global_parameters import ELECTRONICS, LATE, PRIORS, nuisance_unit
+from ..data.global_parameters import ELECTRONICS, OWN_DEPARTURES, PRIORS, nuisance_unit
 from ..joint.departures import FILTER_SHARE, MIN_SCORE
 from ..joint.leaks import Leaks, crosstalk_score, leaking_pairs
 from ..joint.parametrization import Unknowns
@@ -98,8 +98,8 @@ def with_departures(
         name, start, before = shown[0], found[shown[0]][1], effects.stage.done
         extended, first, converged = _with_departure(effects, begin, name, start)
         gain = _objective(effects) - _objective(extended) if converged is not None else -np.inf
-        # a small departure gains half its squared score; LATE have that of a variance
-        least = LEAST_GAIN * (left[name] if name not in LATE else MIN_SCORE) ** 2 / 2
+        # a small departure gains half its squared score; those of each taxel have a variance's
+        least = LEAST_GAIN * (left[name] if name not in OWN_DEPARTURES else MIN_SCORE) ** 2 / 2
         reached = plausible(extended, name)
         if not (reached and gain > least):
             spent += effects.stage.done - before
@@ -221,7 +221,9 @@ def _scores(effects: RandomEffects) -> dict[str, tuple[float, Array]]:
         groups = response_groups(fitted)
         found = {GROUPS: (groups.score, groups.second), **found}
     rank = {name: score for name, (score, _) in found.items()}
-    for name in rank.keys() & set(LATE):  # in all taxels alike another one can stand in for it
+    for name in rank.keys() & set(
+        OWN_DEPARTURES
+    ):  # in all taxels alike another one can stand in for it
         excess = max(rank[name], 0.0) * (2 * len(fitted.points)) ** 0.5
         rank[name] = (excess / 2) ** 0.5
     return {name: found[name] for name in sorted(found, key=lambda name: -rank[name])}

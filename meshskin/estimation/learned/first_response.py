@@ -12,7 +12,7 @@ from dataclasses import fields, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..data.global_parameters import DRIFTS, LATE
+from ..data.global_parameters import DRIFTS, OWN_DEPARTURES
 from ..data.measurements import Measurements
 from ..joint.readings import Readings
 from ..posegraph.symmetric_blocks import SingularMatrixError
@@ -32,7 +32,7 @@ def with_first_response(effects: RandomEffects) -> RandomEffects:
     where taxels are few, contacts move, readings drift, or the part is singular or does not
     converge."""
     u, chosen, parameters = effects.unknowns, PARTS * SIZE, effects.data.parameters
-    drifts = {*DRIFTS, *LATE} & {*parameters.names, *parameters.nuisance_names}
+    drifts = {*DRIFTS, *OWN_DEPARTURES} & {*parameters.names, *parameters.nuisance_names}
     if len(u.nuisance) < LEAST * chosen or parameters.move_contacts or drifts:
         return effects
     points = u.parametrization.points()

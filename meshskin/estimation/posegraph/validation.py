@@ -138,9 +138,14 @@ def chordal_weights(
     singular or the trace is negative.
     Source: Rosen et al., "SE-Sync", IJRR 38 (2019), section 6.
     """
-    translation, no_translation, odd = _inverse_trace(information[:, :3, :3])
-    rotation, no_rotation, strange = _inverse_trace(information[:, 3:, 3:])
-    return 3.0 * translation, 1.5 * rotation, no_translation | no_rotation, odd | strange
+    translation, no_translation, indefinite_translation = _inverse_trace(information[:, :3, :3])
+    rotation, no_rotation, indefinite_rotation = _inverse_trace(information[:, 3:, 3:])
+    return (
+        3.0 * translation,
+        1.5 * rotation,
+        no_translation | no_rotation,
+        indefinite_translation | indefinite_rotation,
+    )
 
 
 def _inverse_trace(matrices: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:

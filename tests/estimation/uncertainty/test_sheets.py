@@ -36,6 +36,21 @@ def test_the_other_face_of_a_thin_plate_is_no_such_sheet():
     assert np.abs(sheets.covariance(plate, np.zeros((1, 3)), UP[None])).max() < 1e-15
 
 
+def test_a_thin_plate_in_any_position_gives_no_warning():
+    """Cosines of its faces' normals are beyond -1 by rounding."""
+    for angle in np.linspace(0.1, 1.5, 12):
+        mesh = box((0.08, 0.06, 0.8e-3), 0.0)
+        turn = trimesh.transformations.euler_matrix(angle, 2.0 * angle, 3.0 * angle)
+        mesh.apply_transform(turn)
+        up = turn[:3, :3] @ UP
+        normals = np.tile(up / np.linalg.norm(up), (20, 1))
+        top = mesh.vertices @ up
+        places = top.max() * up + np.linspace(-0.02, 0.02, 20)[:, None] * turn[:3, 0]
+        with np.errstate(invalid="raise"):
+            found = sheets.covariance(ms.Body.from_mesh(mesh), places, normals)
+        assert np.isfinite(found).all()
+
+
 def test_it_is_in_the_covariance_of_a_taxel(lid, noisy):
     region = Cap(direction=UP)
     skin = ms.Skin.cover(lid, spacing=5e-3, count=12, region=region)
