@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +18,12 @@ def modulus_words(found: Calibration, between: str = "±") -> str:
     """E* of a calibration that has one, with its standard deviation, or that it was given;
     `between`: value and standard deviation."""
     assert found.modulus is not None
-    value = f"{found.modulus / 1e3:.6g}"
-    if found.modulus_sigma is None:
-        return f"{value} kPa, given"
-    return f"{value} {between} {found.modulus_sigma / 1e3:.2g} kPa"
+    value, sigma = found.modulus / 1e3, found.modulus_sigma
+    if sigma is None:
+        return f"{value:.6g} kPa, given"
+    sigma /= 1e3
+    decimals = max(1 - math.floor(math.log10(sigma)), 0) if sigma > 0 else 3  # those of sigma
+    return f"{value:.{decimals}f} {between} {sigma:.2g} kPa"
 
 
 def force_notes(force: Mapping[str, Any]) -> list[str]:

@@ -139,7 +139,7 @@ def test_the_page_contains_the_numbers(full: Written) -> None:
         "Cramér-Rao bound 0.0121 mm",
         "3.001 N",
         "settled in 44.9 ms",
-        "263.158 ± 0.12 kPa (1 sigma)",
+        "263.16 ± 0.12 kPa (1 sigma)",
         "simulate 2.250",
         "Accuracy and time of this run",
         "estimator mean error (mm) relative to the bound seconds joint maximum likelihood",

@@ -10,8 +10,9 @@ from meshskin.report.words import force_notes, modulus_words
 
 @pytest.mark.parametrize(
     ("sigma", "between", "words"),
-    [(None, "+-", "263.193 kPa, given"), (1234.5, "+-", "263.193 +- 1.2 kPa"),
-     (1.2, "±", "263.193 ± 0.0012 kPa")],
+    [(None, "+-", "263.193 kPa, given"), (1234.5, "+-", "263.2 +- 1.2 kPa"),
+     (1.2, "±", "263.1930 ± 0.0012 kPa"), (43e3, "±", "263 ± 43 kPa"),
+     (0.0, "±", "263.193 ± 0 kPa")],
 )  # fmt: skip
 def test_the_modulus_has_its_standard_deviation(sigma, between, words):
     found = SimpleNamespace(modulus=263_193.0, modulus_sigma=sigma)
