@@ -28,6 +28,9 @@ moved, below which there is such a filter."""
 CHANCE = 1e-3
 """Probability by chance, below which so many taxels' contacts lie closer together with the readings
 moved that they are late: 10 of 10 taxels, 55 of 80."""
+PARTS = (-0.5, -0.25, 0.0, 0.25, 0.5)
+"""Parts of a frame's path by which the distance that patches are dragged along may differ from that
+of a whole number of frames."""
 KEPT = (0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
 """Parts of the last reading that a low-pass filter keeps which are tried: time constants of 0.8 to
 20 frames."""
@@ -51,7 +54,8 @@ def late_frames(data: Measurements) -> int:
     The contacts that a taxel responds to, weighted by the square of its pressure above that at
     rest, spread least at the true delay, those of most taxels. A few touches or taxels do not show
     it: they may spread less at others by chance. Readings that average the past by a low-pass
-    filter lag, too: they are late only by what remains without its effect.
+    filter lag, too: they are late only by what remains without its effect. None are where patches
+    that friction drags a constant distance along the path explain it better.
     """
     if not data.counts.any() or np.median(data.counts[data.counts > 0]) < MIN_READINGS:
         return 0
@@ -78,12 +82,26 @@ def late_frames(data: Measurements) -> int:
         found[late] = beyond
     if found[late] >= LATE_GAIN or compare(late)[1] >= CHANCE:
         return 0
-    if not (parts := _possible_filters(data.taxel, level, before, last)):
-        return late
-    filtered = {k: min(compare(k, kept)[0] for kept in parts) for k in found}
+    parts = _possible_filters(data.taxel, level, before, last)
+    filtered = {k: min((compare(k, kept)[0] for kept in parts), default=np.inf) for k in found}
     if (least := min(filtered.values())) >= FILTER_GAIN * found[late]:
-        return late
+        return 0 if late > 0 and _dragged(data, level, late) < found[late] else late
     return min((k for k in filtered if FILTER_GAIN * filtered[k] <= least), key=abs)
+
+
+def _dragged(data: Measurements, level: Array, frames: int) -> float:
+    """The least median spread of the contacts of levels (k,), relative to the present one, where
+    patches lag behind them by about as far as they move in some frames."""
+    path = np.linalg.norm(np.diff(data.points, axis=0), axis=1)
+    there = _in_time(data, np.arange(len(path)), np.arange(1, len(path) + 1))
+    lags = (frames + np.array(PARTS)) * float(np.median(path[there]))
+    present = spreads(data.points[data.contact], level**2, data.taxel)
+    found = []
+    for lag in lags:
+        points = data.points - lag * data.headway
+        moved = spreads(points[data.contact], level**2, data.taxel)
+        found.append(comparison(moved, present)[0])
+    return min(found)
 
 
 def _neighbours(data: Measurements, level: Array) -> tuple[Array, np.ndarray]:

@@ -117,6 +117,23 @@ def test_one_frame_shows_in_strokes_both_ways(world):
         assert gather(late, world.belief(0.01, 0.05)).delay == frames
 
 
+def test_patches_that_are_dragged_along_are_not_late(world):
+    """By 0.7 mm at 0.5 mm a frame, which one frame explains nearly as well."""
+    whole = world.record(0.01, 0.05)
+    jumps = np.linalg.norm(np.diff(whole.points, axis=0), axis=1) > 1e-3
+    lane = np.cumsum(np.append(0, jumps))
+    rows = [np.flatnonzero(lane == k) for k in range(lane[-1] + 1)]
+    order = np.concatenate([row[::-1] if k % 2 else row for k, row in enumerate(rows)])
+    contacts = whole.contacts.take(pa.array(order)).set_column(0, "time", pa.array(whole.time))
+    time = pa.array(whole.time[np.argsort(order)[whole.reading_contact]])
+    recording = Recording(contacts, whole.readings.set_column(0, "time", time), {})
+    data = gather(recording, world.belief(0.01, 0.05))
+    dragged = dataclasses.replace(data, points=data.points + 0.7e-3 * data.headway)
+    row, used = delay._moved(data, 1)
+    one_late = dataclasses.replace(data.select(used), contact=row[used])
+    assert [delay.late_frames(d) for d in (data, dragged, one_late)] == [0, 0, 1]
+
+
 def test_pauses_show_no_delay_and_are_not_crossed(world):
     """Contacts one by one, at irregular times: no other contact is in time."""
     whole = world.record()
