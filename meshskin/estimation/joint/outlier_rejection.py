@@ -28,8 +28,10 @@ MAX_DISPLACED = 0.2
 outlying: twice what confuses the start of the estimate."""
 LEAST_DISPLACED = 0.02
 """Least displacement, in contact radii, of an outlying contact: smaller ones harm no estimate."""
-RAYLEIGH = 1.1774
-"""Median length of a vector of two standard normal variables."""
+LEAST_FORCE = 0.5
+"""Least error of ln F of an outlying contact: a force that is 1.6 times another is no scatter."""
+RAYLEIGH, HALF_NORMAL = 1.1774, 0.6745
+"""Median length of a vector of two standard normal variables, and of one of them."""
 MAX_PRIOR_SIGMAS = 3.0
 """Gain or offset, in standard deviations of the prior, from which a taxel is faulty."""
 
@@ -87,24 +89,27 @@ def without_misfitting_contacts(estimator: JointEstimator, scale: float) -> Meas
     return data.without_contacts(bad)
 
 
-def displaced_contacts(displacements: Array, touched: np.ndarray, radii: Array) -> np.ndarray:
-    """Rows of the contacts whose points are displaced far more than most; none where they are too
-    many to be exceptions.
+def displaced_contacts(errors: Array, touched: np.ndarray, radii: Array) -> np.ndarray:
+    """Rows of the contacts whose points are displaced, or whose forces err, far more than most;
+    none where they are too many to be exceptions.
 
-    displacements: (c, 2) m in the tangent planes, of contacts with `radii` (c,) m. Only those that
-    are `touched` (c,) bool count.
+    errors: (c, 3), displacements in the tangent planes, m, and errors of ln F, of contacts with
+    `radii` (c,) m. Only those that are `touched` (c,) bool count.
 
     A tracker that loses its target, or a second contact, puts single points anywhere. One variance
-    of all displacements would take the weight of the others.
+    of all errors would take the weight of the others.
     """
-    size = np.linalg.norm(displacements, axis=1)
     if not touched.any():
         return np.empty(0, dtype=int)
-    limit = max(
-        faults.CUTOFF * float(np.median(size[touched])) / RAYLEIGH,
-        LEAST_DISPLACED * float(np.median(radii)),
+    size, force = np.linalg.norm(errors[:, :2], axis=1), np.abs(errors[:, 2])
+    limits = (
+        max(faults.CUTOFF * float(np.median(x[touched])) / middle, least)
+        for x, middle, least in (
+            (size, RAYLEIGH, LEAST_DISPLACED * float(np.median(radii))),
+            (force, HALF_NORMAL, LEAST_FORCE),
+        )
     )
-    bad = np.flatnonzero(touched & (size > limit))
+    bad = np.flatnonzero(touched & ((size > next(limits)) | (force > next(limits))))
     return bad if len(bad) <= MAX_DISPLACED * touched.sum() else bad[:0]
 
 

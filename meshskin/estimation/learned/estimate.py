@@ -34,12 +34,11 @@ from ..data.global_parameters import (
 )  # fmt: skip
 from ..data.measurements import Measurements
 from ..data.patch_shape import over_edges
-from ..joint import fault_detection
+from ..joint import fault_detection, outlier_rejection
 from ..joint.contacts import LinearizedContacts
 from ..joint.joint_estimator import JointEstimator
 from ..joint.jump import largest_jump
 from ..joint.likelihood import Likelihood
-from ..joint.outlier_rejection import displaced_contacts, minority, reject_outliers
 from ..joint.parametrization import SurfaceParametrization, Unknowns
 from ..joint.pressure import CENSORED, OBSERVED
 from ..joint.readings import Readings, select
@@ -134,7 +133,9 @@ def _attempt(
     if ended and len(bad := _displaced(effects, recorded)):
         return recorded.without_contacts(bad), excluded
     for repeated in range(MAX_ROUNDS if ended else 1):  # others would not bring it to rest
-        estimator = reject_outliers(_frozen(effects, live, weight) if repeated else frozen)
+        estimator = outlier_rejection.reject_outliers(
+            _frozen(effects, live, weight) if repeated else frozen
+        )
         rivals = resolve_rivals(estimator) if ended or settled else RivalOptima.none(len(live))
         if not _changed(effects, estimator, weight):
             break
@@ -160,13 +161,16 @@ def _attempt(
 
 
 def _displaced(effects: RandomEffects, recorded: Measurements, least: float = 0.0) -> np.ndarray:
-    """Rows of the contacts that are displaced far more than most, if any is by `least` contact
-    radii; none where some of the `recorded` ones were left out before."""
-    displacements, touched = effects.unknowns.errors[:, :2], effects.probes.touched
-    bad = displaced_contacts(displacements, touched, effects.data.radii)
-    bad = minority(bad, effects.selected[0])
-    far = np.linalg.norm(displacements[bad], axis=1) > least * np.median(effects.data.radii)
-    return bad if far.any() and not len(recorded.misfitting) else bad[:0]
+    """Contacts of `recorded` to leave out, with those that were before: those that err far more
+    than most, if any is displaced by `least` contact radii; after the first time, those whose force
+    does, which points that are off pass for where few others are displaced."""
+    errors, touched = effects.unknowns.errors, effects.probes.touched
+    bad = outlier_rejection.displaced_contacts(errors, touched, effects.data.radii)
+    bad, before = outlier_rejection.minority(bad, effects.selected[0]), recorded.misfitting
+    far = np.linalg.norm(errors[bad, :2], axis=1) > least * np.median(effects.data.radii)
+    if len(before):
+        far = np.abs(errors[bad, 2]) > outlier_rejection.LEAST_FORCE
+    return np.union1d(bad, before) if far.any() else bad[:0]
 
 
 def with_learned_response(data: Measurements, points: Array) -> Measurements:

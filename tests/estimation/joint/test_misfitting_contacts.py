@@ -5,7 +5,7 @@ import pytest
 
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.joint.fault_detection import misfitting_contacts
-from meshskin.estimation.joint.outlier_rejection import minority
+from meshskin.estimation.joint.outlier_rejection import displaced_contacts, minority
 from meshskin.estimation.joint.pressure import OBSERVED
 from meshskin.estimation.joint.readings import Readings
 
@@ -61,3 +61,14 @@ def test_contacts_that_are_most_of_what_a_taxel_reads_are_not_outlying():
     assert minority(np.array([0, 1, 2]), readings).tolist() == [0, 1, 2]
     region = np.arange(8, 15)  # 2 of the 10 that the first taxel reads, 7 of the second's
     assert minority(np.append(region, 0), readings).tolist() == [0]
+
+
+def test_a_contact_far_off_shows_by_its_displacement_or_its_force():
+    """A point that is off may pass for a wrong force: others then seem to have scattered ones."""
+    rng, radii, touched = np.random.default_rng(0), np.full(300, 5e-3), np.ones(300, dtype=bool)
+    errors = rng.normal(size=(300, 3)) * [1e-5, 1e-5, 0.02]
+    touched[250:] = False
+    errors[[10, 260], 0], errors[[20, 270], 2], errors[30, 2] = 1e-3, -0.9, 0.3
+    assert displaced_contacts(errors, touched, radii).tolist() == [10, 20]
+    errors[:100, 2] = 0.9  # no exceptions
+    assert not len(displaced_contacts(errors, touched, radii))
