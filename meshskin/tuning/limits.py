@@ -115,7 +115,7 @@ def objective_and_limits(
         Limit("overshoot", overshoot, max(demands.overshoot, MIN_OVERSHOOT), OVERSHOOT_SCALE, ""),
         *_settling_limits(overshoot, since, gains, demands, touch_only, dt),
         *(() if touch_only else _force_limits(error, since, gains, demands, dt)),
-        *_duration_limits(duration, slide, end, demands, touch_only),
+        *_duration_limits(duration, slide, end, demands, touch_only, dt),
         Limit("ramp", ramps, 0.999, 1.0, ""),  # a slide needs a time between its ramps
         *step_limit(shooting, gains),
         *joint_limits(shooting, rows, demands),
@@ -152,9 +152,10 @@ def _force_limits(
 
 
 def _duration_limits(
-    duration: ca.MX, slide: Any, end: float, demands: Demands, touch_only: bool
+    duration: ca.MX, slide: Any, end: float, demands: Demands, touch_only: bool, dt: float
 ) -> Iterator[Limit]:
-    """The manoeuvre ends before the shooting does, and in the time demanded."""
+    """The manoeuvre ends before the shooting does, and in the time demanded, with a step to spare:
+    the rest is rounded up to whole steps of `dt`."""
     longest = end if demands.time is None else demands.time
     if touch_only:
         yield Limit("length of the shooting", duration - slide, end, end, "s")
@@ -162,7 +163,8 @@ def _duration_limits(
             return
     else:
         longest = min(longest, end)
-    yield Limit("time", duration, longest, longest, "s")
+    rounded = duration if demands.time is None else duration + dt
+    yield Limit("time", rounded, longest, longest, "s")
 
 
 def step_limit(shooting: SingleShooting, gains: Gains) -> Iterator[Limit]:

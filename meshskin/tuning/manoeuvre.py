@@ -40,6 +40,8 @@ PATCH_MARGIN = 1e-3
 MAX_MISFIT = 0.01
 """Largest distance of the patch from the surface, relative to the reference depth: 1.5 % of the
 force."""
+MAX_OFF = 2e-3
+"""Largest distance of a given place from the body's surface, m: the radius of a taxel."""
 HEADINGS = 8
 """Directions of the slide about the indenter's that are tried for the arm."""
 
@@ -118,10 +120,21 @@ def slide_distance(t: Any, speed: Any, ramp: Any, distance: Any) -> Any:
 def slide_start(
     scene: Scene, place: ArrayLike | None, direction: ArrayLike | None
 ) -> tuple[Array, Array]:
-    """Start (3,), m, and direction (3,) of the slide, body frame; by default the skin's centre and
-    its first principal direction."""
+    """Start (3,), m, and direction (3,) of the slide, body frame; by default the surface point under
+    the skin's centre and its first principal direction.
+
+    Raises TuningError for a place farther than MAX_OFF from the surface.
+    """
     wanted = scene.skin.positions.mean(axis=0) if place is None else check_vector("place", place)
     hit = scene.body.closest(wanted[None])
+    if place is not None and (off := abs(float(hit.distance[0]))) > MAX_OFF:
+        near = ", ".join(f"{x:.4g}" for x in hit.point[0])
+        raise TuningError(
+            "place is not on the body",
+            value=f"{1e3 * off:.3g} mm off its surface",
+            limit=f"{1e3 * MAX_OFF:g} mm",
+            remedy=f"give metres in the body frame; the nearest point is ({near})",
+        )
     ahead = hit.direction[0] if direction is None else check_vector("direction", direction)
     return hit.point[0], ahead
 

@@ -80,7 +80,7 @@ def tune(
 
     progress("tune", done, total): called after each iteration of a search, whose number is not
     known before. Raises TuningError where no gains meet the demands, with the limit to relax and by
-    how much; UnknownNameError, ConfigError for invalid arguments, ReachError where the arm cannot
+    how much, and for a place farther than 2 mm from the body; UnknownNameError, ConfigError for invalid arguments, ReachError where the arm cannot
     make the manoeuvre.
     """
     over, demands = check_scenarios(over), demands or Demands()
@@ -93,7 +93,7 @@ def tune(
     first = Gains(*np.clip(first.values, *ranges).tolist())
     longest = max(shooting.predict(first).duration for shooting in shootings)
     if objective == "force_error" and demands.time is None:
-        demands = replace(demands, time=longest)
+        demands = replace(demands, time=longest + scene.loop.dt)  # the rest is rounded up
     horizon = _horizon(objective, demands, longest, distance / first.speed + first.ramp, first)
     search = _Search(shootings, first, ranges, int(np.ceil(horizon / scene.loop.dt)) + 2, stage)
     problem = search.problem(demands, objective)
@@ -174,7 +174,7 @@ class _Search:
         if demands.time is None or objective == "settling":
             return _from_nearest(problem)
         quickest = self.problem(replace(demands, time=None), "time")
-        return _from_quickest(problem, quickest, demands.time)
+        return _from_quickest(problem, quickest, demands.time, self.shootings[0].loop.dt)
 
 
 def _from_nearest(problem: TuningProblem) -> TuningSolution:
@@ -189,18 +189,18 @@ def _from_nearest(problem: TuningProblem) -> TuningSolution:
 
 
 def _from_quickest(
-    problem: TuningProblem, quickest: TuningProblem, longest: float
+    problem: TuningProblem, quickest: TuningProblem, longest: float, dt: float
 ) -> TuningSolution:
     """The solution of a problem with a longest time, s, from the gains of the least time.
 
-    Raises TuningError where that time is longer.
+    Raises TuningError where that time, with the rest rounded up by a step `dt`, s, is longer.
     """
     found = quickest.solve()
     found = _from_nearest(quickest) if found.slacks else _polished(quickest, found)
-    if found.value > longest:
+    if found.value + dt > longest:
         raise TuningError(
             "no gains meet the demands",
-            value=f"at best time of {found.value:.4g} s",
+            value=f"at best time of {found.value + dt:.4g} s",
             limit=f"{longest:.4g} s",
             remedy="relax the time, or the limits that bind it: "
             + ", ".join(name for name, value in found.multipliers.items() if value > 0),

@@ -8,7 +8,13 @@ import pytest
 
 from meshskin.core.errors import TuningError
 from meshskin.geometry.body import Body
-from meshskin.tuning.manoeuvre import fit_patch, plan_manoeuvre, slide_distance, slide_path
+from meshskin.tuning.manoeuvre import (
+    fit_patch,
+    plan_manoeuvre,
+    slide_distance,
+    slide_path,
+    slide_start,
+)
 
 BOTTOM = np.array([0.0, 0.0, -0.1])
 
@@ -27,6 +33,13 @@ def test_a_geodesic_of_the_sphere_is_a_great_circle():
     np.testing.assert_allclose(frames[:, :, 2], expected / 0.1, atol=1e-5)
     with pytest.raises(TuningError, match="normal to the surface"):
         slide_path(Body.sphere(0.1), BOTTOM, BOTTOM, 0.05)
+
+
+def test_a_place_off_the_body_is_refused_with_the_nearest_point(free):
+    start = slide_start(free, BOTTOM + [0.0, 0.0, -1.5e-3], [1.0, 0.0, 0.0])[0]
+    np.testing.assert_allclose(start, BOTTOM, atol=1e-6)
+    with pytest.raises(TuningError, match=r"place is not on the body, got 50 mm off .*-0\.1\)"):
+        slide_start(free, BOTTOM - [0.0, 0.0, 0.05], [1.0, 0.0, 0.0])
 
 
 def test_the_patch_stands_for_the_surface_about_the_slide():

@@ -167,7 +167,7 @@ def test_least_force_error_costs_time(small, tuned):
         bounds=CALM,
         start=gains_of(tuned),
     )
-    assert exact.trajectories[0].duration <= demands.time + small.loop.dt
+    assert exact.trajectories[0].duration <= demands.time * (1.0 + TOLERANCE)
     seen = exact.confirm()
     assert seen.error < 0.5 * tuned.confirm().error
     assert seen.error <= 1.05 * exact.value
@@ -223,7 +223,7 @@ def test_demands_that_cannot_be_met_name_the_limit_to_relax(small, tuned):
     with pytest.raises(TuningError, match="relax the time") as raised:
         ms.tune(small, demands=replace(DEMANDS, time=0.02), distance=DISTANCE, bounds=CALM)
     assert raised.value.limit == "0.02 s"
-    best = tuned.value
+    best = tuned.value + small.loop.dt  # the rest is rounded up to whole steps
     assert raised.value.value == f"at best time of {best:.4g} s"
     met = ms.tune(small, demands=replace(DEMANDS, time=1.01 * best), distance=DISTANCE, bounds=CALM)
     assert met.value <= 1.01 * best
