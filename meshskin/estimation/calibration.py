@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 
 from ..core.arguments import check_name, check_type
 from ..core.arrays import Array
@@ -158,8 +159,6 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
 
         Numbers are NaN or inf where the data did not determine them.
         """
-        import pyarrow as pa
-
         deviations = np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)[:, :3])
         numbers = np.column_stack(
             [self.positions, self.poses[:, :3, 2], self.position_sigma, deviations]

@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...core.arrays import Array, means_by_group
 
@@ -130,8 +131,6 @@ def spikes(
     have no force. threshold: below which a silent taxel reads. reach: distance, m, to which a taxel
     responds by the belief.
     """
-    from scipy.spatial import cKDTree
-
     found = np.zeros(len(taxel), dtype=bool)
     if not len(taxel):
         return found

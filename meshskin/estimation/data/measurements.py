@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
@@ -197,8 +198,6 @@ class Measurements:
     @cached_property
     def contact_tree(self) -> cKDTree:
         """The contact points, for queries by distance."""
-        from scipy.spatial import cKDTree
-
         return cKDTree(self.points)
 
     def reach(self, scale: float = 1.0) -> Array:

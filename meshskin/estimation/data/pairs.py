@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...contact.disc import invert_disc_mean
 from ...contact.reading import same_sheet
@@ -38,8 +39,6 @@ def near_pairs(
 
     points (n, 3), m, and outward normals (n, 3): of the taxels.
     """
-    from scipy.spatial import cKDTree
-
     furthest = MAX_SLANT * float(radius.max())
     found: list[tuple[np.ndarray, np.ndarray]] = []
     for begin in range(0, len(points), CHUNK):

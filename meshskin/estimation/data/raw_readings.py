@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
+from scipy.special import bdtrc
 
 from ...core.arrays import Array, robust_sigma, sums_by_group
 from ...core.errors import CalibrationError
@@ -236,8 +238,6 @@ def falls_with_pressure(
     largest weights, are replaced by those at the nearest contacts. Median of the taxels; a few do
     not show it.
     """
-    from scipy.special import bdtrc
-
     order = np.random.default_rng(0).permutation(int(taxel.max(initial=-1)) + 1)
     few = (order < MAX_COMPARED)[taxel]
     values, contact, taxel = values[few], contact[few], taxel[few]
@@ -267,8 +267,6 @@ def falls_with_pressure(
 def _without_outlying(values: Array, points: Array, taxel: np.ndarray) -> Array:
     """Readings (k,) of taxels (k,) in contacts at `points` (k, 3), m: medians of each one and those
     of the same taxel in the two nearest contacts, where it has many."""
-    from scipy.spatial import cKDTree
-
     many = np.bincount(taxel)[taxel] >= MIN_SMOOTHED
     if not many.any():
         return values

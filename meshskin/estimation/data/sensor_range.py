@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError
@@ -99,8 +100,6 @@ def common_end(ends: Array, counts: np.ndarray) -> float:
 
 def unanswered_contacts(data: Measurements) -> tuple[np.ndarray, np.ndarray]:
     """Contacts (m,) bool beside one in the middle of a taxel, and which of them nothing answers."""
-    from scipy.spatial import cKDTree
-
     m = len(data.points)
     strongest, by_taxel = np.zeros(m), np.zeros(len(data.ids))
     np.maximum.at(strongest, data.contact, data.pressure)
@@ -167,8 +166,6 @@ def lost_readings(data: Measurements) -> float:
 def check_disc(data: Measurements) -> None:
     """Refuse a disc radius at which taxels are silent in most contacts that lie within their discs.
     Raises CalibrationError."""
-    from scipy.spatial import cKDTree
-
     if data.disc < LARGE_DISC * float(np.median(data.radii)):
         return
     weight, n = data.pressure**2, len(data.ids)

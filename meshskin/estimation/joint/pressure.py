@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
+from scipy.special import erfcx, log_ndtr
 
 from ...contact.disc import disc_mean_of_square
 from ...contact.ellipse import ellipse_gradient
@@ -136,8 +137,6 @@ def censored(u: Array) -> tuple[Array, Array, Array]:
 
     lambda is the inverse Mills ratio phi(u) / Phi(-u).
     """
-    from scipy.special import erfcx, log_ndtr
-
     cost = -log_ndtr(-u)
     tail = np.sqrt(2 / np.pi) / erfcx(np.maximum(u, -MAX_NEGATIVE) / np.sqrt(2))
     return cost, tail, np.maximum(tail * (tail - u), 0.0)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
 
 from ...contact import AUTO, LEARNED
 from ...core.arguments import check_integer
@@ -73,8 +74,6 @@ class TouchDesign(Value, Tabular):
 
     def to_arrow(self) -> pa.Table:
         """One row a touch: x, y, z (m), nx, ny, nz, tests (number of the module, or id)."""
-        import pyarrow as pa
-
         numbers = dict(zip(AXES, [*self.points.T, *self.normals.T], strict=True))
         return pa.table(numbers | {"tests": self.unit})
 

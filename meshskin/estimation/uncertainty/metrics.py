@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from ...core import se3
 from ...core.arrays import Array
@@ -86,8 +87,6 @@ def nees_band(count: int, confidence: float = 0.95) -> tuple[float, float]:
     Source: Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation"
     (2001), section 5.4.
     """
-    from scipy.special import gammaincinv
-
     tail = (1 - confidence) / 2
     low, high = (float(2 * gammaincinv(count, p) / count) for p in (tail, 1 - tail))
     return low, high
