@@ -15,7 +15,10 @@ from ..core.arguments import check_name, check_type
 from ..core.arrays import Array
 from ..core.errors import CalibrationError, ConfigError
 from ..core.notebook import Card, Tabular
+from ..core.progress import Progress
 from ..core.value import Value
+from ..recording.recording import Recording
+from ..scene.belief import Belief
 from ..skin.files.table import DISC_RADIUS
 from ..skin.skin import Skin
 from . import calibration_file
@@ -24,13 +27,9 @@ from .result import EstimateDetails
 from .uncertainty.verdict import Verdict
 
 if TYPE_CHECKING:
-    import pyarrow as pa
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..core.progress import Progress
-    from ..recording.recording import Recording
-    from ..scene.belief import Belief
     from .cross_validation import CrossValidation
     from .next_contact import NextContacts
 

@@ -22,6 +22,8 @@ from ..core.errors import CalibrationError, ContactError
 from ..core.notebook import AXES, Tabular
 from ..core.progress import Progress, Stage
 from ..core.value import Value
+from ..geometry.surface.closest_point import Closest
+from ..scene.belief import Belief
 from . import chart
 from .data.measurements import NOMINAL_NOISE
 from .data.pairs import MAX_SLANT
@@ -32,10 +34,6 @@ from .joint.pressure import disc_means
 from .uncertainty.observability import censored_information
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from ..geometry.surface.closest_point import Closest
-    from ..scene.belief import Belief
     from .calibration import Calibration
 
 MAX_TARGETS = 200

@@ -12,16 +12,14 @@ from scipy.spatial import cKDTree
 from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
+from ...geometry.body import Body
+from ...geometry.surface.closest_point import Closest
+from ...scene.belief import Belief
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
 from .patch_shape import alike_contacts, over_patches, typical_radius, unevenness
 from .resolve_belief import nominal_patches
 
 if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
-
-    from ...geometry.body import Body
-    from ...geometry.surface.closest_point import Closest
-    from ...scene.belief import Belief
     from ..joint.leaks import Leaks
 
 NOMINAL_NOISE = 0.01

@@ -8,7 +8,6 @@ that whatever follows works on the order of pascals.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,14 +15,11 @@ from scipy.special import bdtrc
 
 from ...core.arrays import Array, robust_sigma, sums_by_group
 from ...core.errors import CalibrationError
-from ...scene.belief import RAW
+from ...recording.recording import Recording
+from ...scene.belief import RAW, Belief
+from ..result import LearnedResponse
 from .resolve_belief import contact_model, nominal_patches
 from .sensor_range import constant_taxels
-
-if TYPE_CHECKING:
-    from ...recording.recording import Recording
-    from ...scene.belief import Belief
-    from ..result import LearnedResponse
 
 DENSE = 0.5
 """Fraction of the contacts from which a taxel that reads in them is read at rest, too."""

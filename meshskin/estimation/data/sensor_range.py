@@ -4,16 +4,12 @@ contacts that nothing answers.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from .measurements import Measurements
+from .measurements import Measurements
 
 MIN_CONSTANT = 10
 """Equal readings of a taxel, at least, without another one, from which it never changes."""

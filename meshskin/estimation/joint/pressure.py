@@ -15,7 +15,6 @@ J^T J times the cost's curvature in mu, which is positive for all kinds.
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -26,9 +25,7 @@ from ...contact.ellipse import ellipse_gradient
 from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
 from ...core.many_points import ColumnFunction
-
-if TYPE_CHECKING:
-    from .contact_state import Contacts
+from .contact_state import Contacts
 
 OBSERVED, CENSORED, SATURATED = 0, 1, -1
 """Kinds of a reading: observed, censored at the threshold, censored at the end of the range; the

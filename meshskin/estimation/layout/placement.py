@@ -12,19 +12,17 @@ tried say how far it does.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from ...core.arrays import Array, far_apart, sums_by_group
 from ...core.se3 import orthonormal_basis
+from ...geometry.body import Body
 from .. import chart
 from . import stress
 from .alignment import aligned
-
-if TYPE_CHECKING:
-    from ...geometry.body import Body
 
 T = TypeVar("T", bound="Placement")
 

@@ -11,7 +11,6 @@ Transactions on Communication Technology 15 (1967).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -23,7 +22,10 @@ from ...core.errors import CalibrationError
 from ...core.notebook import AXES, Tabular
 from ...core.progress import Progress, Stage
 from ...core.value import Value
+from ...scene.belief import Belief
+from ...skin.skin import Skin
 from .. import chart
+from ..calibration import Calibration
 from ..data.measurements import Measurements
 from ..data.patch_shape import over_edges
 from ..data.raw_readings import in_recorded_unit
@@ -34,13 +36,6 @@ from .hypotheses import dead, moved, ring, turned, unchanged
 from .readings import touches_of
 from .skin_map import SkinMap, skin_map
 from .touches import Touches
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from ...scene.belief import Belief
-    from ...skin.skin import Skin
-    from ..calibration import Calibration
 
 MIN_SQUARE = 0.2
 """Squared difference of expected readings, in variances, below which a touch tells nothing."""

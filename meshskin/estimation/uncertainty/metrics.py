@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -11,13 +11,11 @@ from scipy.special import gammaincinv
 from ...core import se3
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...recording.recording import Recording
+from ...scene.belief import Belief
+from ...skin.skin import Skin
+from ..calibration import Calibration
 from .observability import cramer_rao, true_positions
-
-if TYPE_CHECKING:
-    from ...recording.recording import Recording
-    from ...scene.belief import Belief
-    from ...skin.skin import Skin
-    from ..calibration import Calibration
 
 MIN_ALIGNED = 3
 """Fewest taxels that determine a rigid alignment."""

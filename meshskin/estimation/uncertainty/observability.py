@@ -7,13 +7,16 @@ the position along the normal and both tilts. The rotation about the normal is n
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ellipe, log_ndtr, ndtr
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...geometry.body import Body
+from ...recording.recording import Recording
+from ...scene.belief import Belief
+from ...skin.skin import Skin
 from .. import chart
 from ..data.gather import gather
 from ..data.global_parameters import GlobalParameters
@@ -23,12 +26,6 @@ from ..joint.contacts import LinearizedContacts
 from ..joint.likelihood import Likelihood
 from ..joint.readings import Readings
 from ..trilateration.displacements import surface_motion
-
-if TYPE_CHECKING:
-    from ...geometry.body import Body
-    from ...recording.recording import Recording
-    from ...scene.belief import Belief
-    from ...skin.skin import Skin
 
 SURFACE_SIGMA = 1e-8
 """Standard deviation of the believed surface along its normal, m: the closest point's numerical
