@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..core.arguments import check_integer, check_real, check_type, check_vectors
 from ..core.arrays import Array
@@ -235,8 +236,6 @@ def lane_contacts(scene: Scene, spacing: float) -> tuple[Array, Mapping[int, str
 
 def _gaps(scene: Scene, points: Array) -> Array:
     """Contact points (k, 3), m, between those at `points` (m, 3), for taxels without a reading."""
-    from scipy.spatial import cKDTree
-
     dense, _ = lane_contacts(scene, SECOND_SPACING)
     distance = cKDTree(points).query(dense)[0]
     return dense[distance > SECOND_SPACING * scene.rig.sensing_radius]

@@ -9,12 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 
 from ..core.arguments import check_name, check_type
 from ..core.arrays import Array
 from ..core.errors import CalibrationError, ConfigError
 from ..core.notebook import Card, Tabular
+from ..core.progress import Progress
 from ..core.value import Value
+from ..recording.recording import Recording
+from ..scene.belief import Belief
 from ..skin.files.table import DISC_RADIUS
 from ..skin.skin import Skin
 from . import calibration_file
@@ -23,13 +27,9 @@ from .result import EstimateDetails
 from .uncertainty.verdict import Verdict
 
 if TYPE_CHECKING:
-    import pyarrow as pa
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..core.progress import Progress
-    from ..recording.recording import Recording
-    from ..scene.belief import Belief
     from .cross_validation import CrossValidation
     from .next_contact import NextContacts
 
@@ -158,8 +158,6 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
 
         Numbers are NaN or inf where the data did not determine them.
         """
-        import pyarrow as pa
-
         deviations = np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)[:, :3])
         numbers = np.column_stack(
             [self.positions, self.poses[:, :3, 2], self.position_sigma, deviations]

@@ -8,16 +8,13 @@ they no longer move, so that the result is on the surface exactly; K only speeds
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.arrays import Array
 from ..core.se3 import orthonormal_basis, perpendicular, shortest_rotation, transform
-
-if TYPE_CHECKING:
-    from ..geometry.body import Body
+from ..geometry.body import Body
 
 STEP = 1e-4
 """Step of the central difference that gives the curvature from the normals, m: small against the

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
 
 from ..core import se3
 from ..core.arrays import Array
@@ -47,8 +48,6 @@ def coactive_pairs(recording: Recording, ids: NDArray[np.int64]) -> NDArray[np.i
 
     Raises CalibrationError for readings of other taxels.
     """
-    from scipy.sparse import coo_array
-
     column = taxel_rows(recording.reading_taxel, ids)
     shape = (len(recording.time), len(ids))
     active = coo_array((np.ones(len(column)), (recording.reading_contact, column)), shape=shape)

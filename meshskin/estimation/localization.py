@@ -9,11 +9,11 @@ learned response.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..core.arrays import Array, means_by_group, sums_by_group
+from .calibration import Calibration
 from .data.global_parameters import MOTION, MOVES, nuisance_unit
 from .data.measurements import Measurements
 from .data.pairs import near_pairs
@@ -26,9 +26,6 @@ from .joint.pressure import CENSORED, OBSERVED, SATURATED, costs
 from .joint.readings import Readings
 from .learned.deviations import Deviations
 from .learned.estimate import as_learned
-
-if TYPE_CHECKING:
-    from .calibration import Calibration
 
 Pairs = tuple[np.ndarray, np.ndarray, Array, np.ndarray]
 """Contact, taxel, level and kind of readings."""

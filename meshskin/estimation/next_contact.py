@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
+from scipy.spatial import cKDTree
 
 from ..contact import AUTO, Patches
 from ..core.arguments import check_integer
@@ -20,6 +22,8 @@ from ..core.errors import CalibrationError, ContactError
 from ..core.notebook import AXES, Tabular
 from ..core.progress import Progress, Stage
 from ..core.value import Value
+from ..geometry.surface.closest_point import Closest
+from ..scene.belief import Belief
 from . import chart
 from .data.measurements import NOMINAL_NOISE
 from .data.pairs import MAX_SLANT
@@ -30,10 +34,6 @@ from .joint.pressure import disc_means
 from .uncertainty.observability import censored_information
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from ..geometry.surface.closest_point import Closest
-    from ..scene.belief import Belief
     from .calibration import Calibration
 
 MAX_TARGETS = 200
@@ -70,8 +70,6 @@ class NextContacts(Value, Tabular):
 
     def to_arrow(self) -> pa.Table:
         """One row a contact: x, y, z (m), nx, ny, nz, taxel, worst (m)."""
-        import pyarrow as pa
-
         numbers = dict(zip(AXES, [*self.points.T, *self.normals.T], strict=True))
         return pa.table(numbers | {"taxel": self.taxel, "worst": self.worst})
 
@@ -213,8 +211,6 @@ def expected_slopes(
     (p, 2), 1/m, of their expected information: derivatives of the reading in units of its noise,
     weighted for censoring at the threshold, and over edges of the body as in the estimate.
     """
-    from scipy.spatial import cKDTree
-
     patches = reference_patches(belief, hit.curvature, modulus)
     sigma = belief.noise_sigma
     if sigma is None:

@@ -4,14 +4,11 @@ that a taxel repeats, spikes of a taxel that nothing touches.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...core.arrays import Array, means_by_group
-
-if TYPE_CHECKING:
-    from ...recording.recording import Recording
+from ...recording.recording import Recording
 
 MIN_READINGS = 3
 """Readings of a taxel of which the strongest counts: with fewer, all may be at the patch's rim."""
@@ -130,8 +127,6 @@ def spikes(
     have no force. threshold: below which a silent taxel reads. reach: distance, m, to which a taxel
     responds by the belief.
     """
-    from scipy.spatial import cKDTree
-
     found = np.zeros(len(taxel), dtype=bool)
     if not len(taxel):
         return found

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import bdtrc
 
 from ...core.arrays import Array, means_by_group, sums_by_group
 from .measurements import Measurements
@@ -126,8 +127,6 @@ def _possible_filters(
     Without this, the changes of levels that are only late pass for a filter's input: they come
     earlier, and from a smaller part of a patch, than the levels.
     """
-    from scipy.special import bdtrc
-
     owner, falls = np.append(taxel, taxel[last]), level[last]  # to silence
     cubes = np.append(level - before, -falls) ** 3
     each = np.bincount(owner, cubes)[np.unique(owner)]
@@ -154,8 +153,6 @@ def spreads(points: Array, weight: Array, taxel: np.ndarray) -> Array:
 def comparison(moved: Array, present: Array) -> tuple[float, float]:
     """Median of the spreads `moved` (t,) relative to that of those at `present` (t,), and the
     probability that so many taxels have a smaller one by chance."""
-    from scipy.special import bdtrc
-
     if not len(present) or np.median(present) == 0.0:
         return np.inf, 1.0
     better, count = int(np.sum(moved < present)), len(present)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ... import contact
 from ...core.arrays import Array
 from ...core.errors import CalibrationError, ContactError
-from ...scene.belief import RAW
+from ...geometry.surface.closest_point import Closest
+from ...recording.recording import Recording
+from ...scene.belief import RAW, Belief
 from . import corrupt_readings, unit_checks
 from .delay import without_delay
 from .global_parameters import declared_parameters
@@ -33,12 +34,6 @@ from .sensor_range import (
     ends_of_range,
     lost_readings,
 )
-
-if TYPE_CHECKING:
-    from ...geometry.surface.closest_point import Closest
-    from ...recording.recording import Recording
-    from ...scene.belief import Belief
-
 
 STIFFER = 3.0
 """Factor on Young's modulus at which a contact model must hold for a response to be learned in its

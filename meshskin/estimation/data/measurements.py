@@ -7,20 +7,19 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
+from ...geometry.body import Body
+from ...geometry.surface.closest_point import Closest
+from ...scene.belief import Belief
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
 from .patch_shape import alike_contacts, over_patches, typical_radius, unevenness
 from .resolve_belief import nominal_patches
 
 if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
-
-    from ...geometry.body import Body
-    from ...geometry.surface.closest_point import Closest
-    from ...scene.belief import Belief
     from ..joint.leaks import Leaks
 
 NOMINAL_NOISE = 0.01
@@ -197,8 +196,6 @@ class Measurements:
     @cached_property
     def contact_tree(self) -> cKDTree:
         """The contact points, for queries by distance."""
-        from scipy.spatial import cKDTree
-
         return cKDTree(self.points)
 
     def reach(self, scale: float = 1.0) -> Array:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...contact.disc import invert_disc_mean
 from ...contact.reading import same_sheet
 from ...core.arrays import Array
-
-if TYPE_CHECKING:
-    from .measurements import Measurements
+from .measurements import Measurements
 
 REACH_MARGIN = 0.4e-3
 """Distance beyond patch and disc within which a taxel still counts as in reach, m: readings are
@@ -38,8 +35,6 @@ def near_pairs(
 
     points (n, 3), m, and outward normals (n, 3): of the taxels.
     """
-    from scipy.spatial import cKDTree
-
     furthest = MAX_SLANT * float(radius.max())
     found: list[tuple[np.ndarray, np.ndarray]] = []
     for begin in range(0, len(points), CHUNK):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...core.arrays import Array
 from ...core.se3 import orthonormal_basis
@@ -123,8 +124,6 @@ def alike_contacts(points: Array, uneven: np.ndarray, radius: Array) -> Array:
     does, each of variance n v. With these an estimate has the standard deviation of one contact
     there, however many there are.
     """
-    from scipy.spatial import cKDTree
-
     count, rows = np.ones(len(points)), np.flatnonzero(uneven)
     if len(rows):
         tree = cKDTree(points[rows])

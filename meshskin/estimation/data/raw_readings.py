@@ -8,20 +8,18 @@ that whatever follows works on the order of pascals.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
+from scipy.special import bdtrc
 
 from ...core.arrays import Array, robust_sigma, sums_by_group
 from ...core.errors import CalibrationError
-from ...scene.belief import RAW
+from ...recording.recording import Recording
+from ...scene.belief import RAW, Belief
+from ..result import LearnedResponse
 from .resolve_belief import contact_model, nominal_patches
 from .sensor_range import constant_taxels
-
-if TYPE_CHECKING:
-    from ...recording.recording import Recording
-    from ...scene.belief import Belief
-    from ..result import LearnedResponse
 
 DENSE = 0.5
 """Fraction of the contacts from which a taxel that reads in them is read at rest, too."""
@@ -236,8 +234,6 @@ def falls_with_pressure(
     largest weights, are replaced by those at the nearest contacts. Median of the taxels; a few do
     not show it.
     """
-    from scipy.special import bdtrc
-
     order = np.random.default_rng(0).permutation(int(taxel.max(initial=-1)) + 1)
     few = (order < MAX_COMPARED)[taxel]
     values, contact, taxel = values[few], contact[few], taxel[few]
@@ -267,8 +263,6 @@ def falls_with_pressure(
 def _without_outlying(values: Array, points: Array, taxel: np.ndarray) -> Array:
     """Readings (k,) of taxels (k,) in contacts at `points` (k, 3), m: medians of each one and those
     of the same taxel in the two nearest contacts, where it has many."""
-    from scipy.spatial import cKDTree
-
     many = np.bincount(taxel)[taxel] >= MIN_SMOOTHED
     if not many.any():
         return values

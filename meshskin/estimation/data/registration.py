@@ -12,17 +12,14 @@ covariance is that of its place on the body, with the prior variance of the held
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core import se3
 from ...core.arrays import Array, huber_weights, robust_sigma
+from ...scene.belief import Belief
 from ...scene.contact_motion import ContactMotion
 from .global_parameters import declared_parameters
-
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
 
 ITERATIONS = 30
 """Largest number of Gauss-Newton steps; 5 to 10 are usual for offsets of millimetres."""

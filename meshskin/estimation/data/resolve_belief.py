@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ... import contact
 from ...core.arrays import Array
 from ...core.errors import CalibrationError, ContactError
+from ...recording.recording import Recording
+from ...scene.belief import Belief
 from .global_parameters import LEARNED_ONLY
-
-if TYPE_CHECKING:
-    from ...recording.recording import Recording
-    from ...scene.belief import Belief
 
 MAX_INVALID = 0.05
 """Largest fraction of the contacts that may be outside the contact model's range: those are left

@@ -4,15 +4,12 @@ contacts that nothing answers.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from .measurements import Measurements
+from .measurements import Measurements
 
 MIN_CONSTANT = 10
 """Equal readings of a taxel, at least, without another one, from which it never changes."""
@@ -99,8 +96,6 @@ def common_end(ends: Array, counts: np.ndarray) -> float:
 
 def unanswered_contacts(data: Measurements) -> tuple[np.ndarray, np.ndarray]:
     """Contacts (m,) bool beside one in the middle of a taxel, and which of them nothing answers."""
-    from scipy.spatial import cKDTree
-
     m = len(data.points)
     strongest, by_taxel = np.zeros(m), np.zeros(len(data.ids))
     np.maximum.at(strongest, data.contact, data.pressure)
@@ -167,8 +162,6 @@ def lost_readings(data: Measurements) -> float:
 def check_disc(data: Measurements) -> None:
     """Refuse a disc radius at which taxels are silent in most contacts that lie within their discs.
     Raises CalibrationError."""
-    from scipy.spatial import cKDTree
-
     if data.disc < LARGE_DISC * float(np.median(data.radii)):
         return
     weight, n = data.pressure**2, len(data.ids)

@@ -21,6 +21,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from ...core.arrays import Array
 from ..data.measurements import Measurements
@@ -183,6 +184,4 @@ def near_pairs(readings: Readings, points: Array, most: float) -> tuple[np.ndarr
 
 def nearest(points: Array) -> Array:
     """Distance (n,), m, of each point from its nearest one; infinite without any."""
-    from scipy.spatial import cKDTree
-
     return np.asarray(cKDTree(points).query(points, k=2)[0][:, 1])

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc
 
 from ...core.arrays import MAD, Array, means_by_group, robust_sigma, sums_by_group
 from ...scene.belief import RAW
@@ -217,8 +218,6 @@ def successive_difference_scale(readings: Readings, r: Array) -> float:
 
 def misfitting_taxels(readings: Readings, r: Array, scale: float) -> np.ndarray:
     """Rows of the taxels whose residuals r (k,) chance does not explain, with noise of `scale`."""
-    from scipy.special import chdtrc
-
     n = len(readings.starts) - 1
     counted = ~outliers(readings) & ((readings.kind == OBSERVED) | (r != 0))
     count = np.bincount(readings.taxel, counted, n)
@@ -230,8 +229,6 @@ def misfitting_taxels(readings: Readings, r: Array, scale: float) -> np.ndarray:
 
 def misfitting_contacts(readings: Readings, r: Array, scale: float) -> np.ndarray:
     """Contacts whose residuals r (k,) chance does not explain, with noise of `scale`."""
-    from scipy.special import chdtrc
-
     counted = ~outliers(readings) & ((readings.kind == OBSERVED) | (r != 0))
     count = np.bincount(readings.contact[counted])
     square = (r / spread(readings, scale)) ** 2

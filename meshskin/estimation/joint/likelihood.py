@@ -18,11 +18,11 @@ from ...core.arrays import Array
 from ..data.global_parameters import nuisance_unit
 from ..data.measurements import Measurements
 from .contact_state import Contacts
+from .electronics import Electronics
 from .pressure import OBSERVED, corrected_means, costs, disc_means
 from .readings import Readings
 
 if TYPE_CHECKING:
-    from .electronics import Electronics
     from .known_past import History
 
 MIN_DENOMINATOR = 0.05

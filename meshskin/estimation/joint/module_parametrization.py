@@ -11,17 +11,14 @@ others of its module.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core import se3
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from ...geometry.body import Body
-    from ..data.measurements import Measurements
+from ...geometry.body import Body
+from ..data.measurements import Measurements
 
 MODULES = "rigid modules: the known places of their taxels"
 MODULE_SURFACE = "body surface: modules lie on it to 0.1 mm a taxel"

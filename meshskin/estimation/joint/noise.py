@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...core.arrays import Array
 from ..data.measurements import NOMINAL_NOISE, Measurements
@@ -153,8 +154,6 @@ def neighbours(
     """Disjoint pairs, first and second (p,), of the readings `rows` of a taxel: mutual nearest
     neighbours in space, and next to each other in time. points (m, 3), m: of the contacts.
     """
-    from scipy.spatial import cKDTree
-
     if len(rows) < 2:
         return []
     rows = rows[np.lexsort((readings.contact[rows], readings.taxel[rows]))]

@@ -7,22 +7,18 @@ was linearized.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from ...core.arrays import Array, means_by_group
+from ...geometry.body import Body
 from .. import chart
 from ..chart import Charts
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from ...geometry.body import Body
-    from ..data.global_parameters import GlobalParameters
-    from ..data.measurements import Measurements
-
+from ..data.global_parameters import GlobalParameters
+from ..data.measurements import Measurements
 
 OTHER_SIDE = -0.5
 """Scalar product of the normal of a taxel with the mean of those of its contacts below which it is

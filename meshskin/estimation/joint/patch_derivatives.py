@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -19,9 +19,7 @@ import numpy as np
 from ...contact import ContactModel, Patches
 from ...core.arrays import Array
 from ...core.many_points import ColumnFunction
-
-if TYPE_CHECKING:
-    from ..data.measurements import Measurements
+from ..data.measurements import Measurements
 
 STEP = 5e-4
 """Step of the central differences over the surface, m: a mesh's curvatures change from face to

@@ -15,19 +15,17 @@ J^T J times the cost's curvature in mu, which is positive for all kinds.
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
+from scipy.special import erfcx, log_ndtr
 
 from ...contact.disc import disc_mean_of_square
 from ...contact.ellipse import ellipse_gradient
 from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
 from ...core.many_points import ColumnFunction
-
-if TYPE_CHECKING:
-    from .contact_state import Contacts
+from .contact_state import Contacts
 
 OBSERVED, CENSORED, SATURATED = 0, 1, -1
 """Kinds of a reading: observed, censored at the threshold, censored at the end of the range; the
@@ -136,8 +134,6 @@ def censored(u: Array) -> tuple[Array, Array, Array]:
 
     lambda is the inverse Mills ratio phi(u) / Phi(-u).
     """
-    from scipy.special import erfcx, log_ndtr
-
     cost = -log_ndtr(-u)
     tail = np.sqrt(2 / np.pi) / erfcx(np.maximum(u, -MAX_NEGATIVE) / np.sqrt(2))
     return cost, tail, np.maximum(tail * (tail - u), 0.0)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import pdtrc
 
 from ...core.arrays import Array
 from .departures import FittedReadings
@@ -32,8 +33,6 @@ def displacements(fitted: FittedReadings, weight: Array, spread: Array) -> Array
     """Displacements (n, 2), m, of the taxels along their tangents by the readings that were left
     out; zeros where these are accidents. weight (k,): of the readings, as `fitted.curvature` of the
     others; spread (k,): their standard deviations."""
-    from scipy.special import pdtrc
-
     readings, n = fitted.readings, len(fitted.points)
     read = readings.kind == OBSERVED
     out = read & outliers(readings)

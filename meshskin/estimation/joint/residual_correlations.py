@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dtrtrs
 
 from ...core.arrays import Array
 from .departures import FittedReadings
@@ -205,7 +206,6 @@ def _score(samples: list[Sample], kernel: Kernel) -> float:
 
 def _most_likely(samples: list[Sample], kernel: Kernel) -> tuple[float, Array]:
     """Negative logarithm of the largest restricted likelihood, and the variances there."""
-    from scipy.linalg.lapack import dtrtrs
     from scipy.optimize import minimize
 
     size = max(len(left) - basis.shape[1] for *_, basis, left in samples)

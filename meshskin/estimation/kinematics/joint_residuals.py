@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.special import fdtrc
 
 from ...core.arrays import Array
 from ...geometry.body import Body
@@ -61,8 +63,6 @@ def joint_residuals(
     """What each joint of the chain would explain of heights r (m,), m, at times (m,), s, with the
     unknowns s (K,) of `kinematics`. The chance is that of the likelihood ratio, as F.
     """
-    from scipy.special import fdtrc
-
     time = time - kinematics.value("clock_offset", s)
     names = [name for name in (JOINT_OFFSET, JOINT_DELAY) if name in kinematics.columns]
     alone = replace(kinematics, unknown={JOINT_OFFSET: 1.0} | dict.fromkeys(names, 1.0))
@@ -99,8 +99,6 @@ def _log_likelihoods(points: Array, heights: Array) -> Array:
     These are a process that is alike over a distance on the body, of the length, noise and variance
     that are likeliest for each column.
     """
-    from scipy.linalg import cholesky, solve_triangular
-
     rows = np.unique(np.linspace(0, len(points) - 1, min(len(points), MOST)).round().astype(int))
     apart = np.linalg.norm(points[rows, None] - points[rows], axis=2)
     found = []

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import gammaincc
 
 from ...core.arrays import Array
 from ...core.notebook import Card
@@ -133,8 +134,6 @@ class LogCalibration(Value, Card):
 
     def _chance(self, sigma: Mapping[str, float]) -> float:
         """Probability that unknowns of the standard deviations believed are farther from zero."""
-        from scipy.special import gammaincc
-
         square = sum((value / sigma[label]) ** 2 for label, (value, _) in self.unknowns.items())
         return float(gammaincc(len(sigma) / 2, square / 2)) if sigma else 1.0
 

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import shortest_path
 
 from ...core.arguments import check_array
 from ...core.arrays import Array
@@ -67,8 +69,6 @@ def index(levels: np.ndarray, weight: Array | None = None) -> tuple[Array, Array
 
     weight (m,): how much each frame counts, by default 1.
     """
-    from scipy.sparse import csr_array
-
     shared, either = [np.zeros((levels.shape[1],) * 2) for _ in range(2)]
     frames = np.zeros_like(shared)
     for level in range(1, int(levels.max()) + 1):
@@ -106,8 +106,6 @@ def near_lengths(levels: np.ndarray, weight: Array | None = None) -> Any:
 
     weight (m,): how much each frame counts, by default 1.
     """
-    from scipy.sparse import csr_array
-
     values, frames = index(levels, weight)
     near = (values >= NEAR) & (frames >= SHARED)
     np.fill_diagonal(near, False)
@@ -121,8 +119,6 @@ def path_lengths(levels: np.ndarray, weight: Array | None = None) -> Array:
 
     weight (m,): how much each frame counts, by default 1.
     """
-    from scipy.sparse.csgraph import shortest_path
-
     # each pair is in the graph both ways, so that a directed search finds the same in half the time
     return np.asarray(shortest_path(near_lengths(levels, weight)))
 

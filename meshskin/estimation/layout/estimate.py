@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ...core.progress import Stage
 from .. import centroid
+from ..data.measurements import Measurements
 from ..result import EstimatorResult
 from ..trilateration import trilaterate
 from .alignment import aligned
 from .coactivity import distinct_levels, path_lengths
 from .layout import layout
 from .placement import OnBody, settled
-
-if TYPE_CHECKING:
-    from ..data.measurements import Measurements
 
 ANCHOR = (
     "rigid alignment, or that of the mirror image, with the weighted means of the contact points"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,13 +13,11 @@ from ...core.errors import CalibrationError
 from ...core.progress import Progress, Stage
 from ...core.provenance import random_stream
 from ...core.value import Value
+from ...geometry.body import Body
 from . import stress, tiles
 from .alignment import aligned
 from .coactivity import distinct_levels, largest_part, near_lengths, path_lengths, strokes
 from .placement import ALIKE, Modules, best_on_body, fitted_modules, places_on, settled
-
-if TYPE_CHECKING:
-    from ...geometry.body import Body
 
 SILENT = "answers in no frame"
 APART = "answers together with no taxel of the largest part"

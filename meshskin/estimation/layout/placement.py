@@ -12,18 +12,17 @@ tried say how far it does.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ...core.arrays import Array, far_apart, sums_by_group
 from ...core.se3 import orthonormal_basis
+from ...geometry.body import Body
 from .. import chart
 from . import stress
 from .alignment import aligned
-
-if TYPE_CHECKING:
-    from ...geometry.body import Body
 
 T = TypeVar("T", bound="Placement")
 
@@ -95,8 +94,6 @@ class OnBody:
 
     def jacobian(self) -> Any:
         """(3 n, 2 n): the tangents."""
-        from scipy.sparse import csr_array
-
         n = len(self.positions)
         row = np.arange(3 * n).reshape(n, 3, 1).repeat(2, axis=2)
         column = (2 * np.arange(n)[:, None, None] + np.arange(2)).repeat(3, axis=1)
@@ -139,8 +136,6 @@ class Modules:
 
     def jacobian(self) -> Any:
         """(2 n, 3 m): two translations, then the angle, of each module."""
-        from scipy.sparse import csr_array
-
         n, arms = len(self.module), self._arms
         value = np.zeros((n, 2, 3))
         value[:, 0, 0] = value[:, 1, 1] = 1.0

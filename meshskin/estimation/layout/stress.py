@@ -13,6 +13,7 @@ restrictions on the configuration" (1980) (longer steps); Kamada, Kawai, Inf. Pr
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
@@ -84,8 +85,6 @@ def neighbour_spacing(positions: Array) -> float:
 
     The nearest one alone is too near where positions err.
     """
-    from scipy.spatial import KDTree
-
     near = KDTree(positions).query(positions, NEIGHBOURS + 1)[0][:, 1:]
     return float(np.median(near.mean(axis=1)))
 

@@ -10,6 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.spatial import KDTree
 
 from ...core.arrays import Array, median_spacing
 from ...core.errors import CalibrationError
@@ -85,8 +88,6 @@ class Meeting:
 
 def _pitch(origins: Array) -> float:
     """Distance of neighbouring modules, m."""
-    from scipy.spatial import KDTree
-
     nearest = median_spacing(origins)
     pairs = KDTree(origins).query_pairs(1.3 * nearest, output_type="ndarray")
     return float(np.median(np.linalg.norm(origins[pairs[:, 0]] - origins[pairs[:, 1]], axis=1)))
@@ -94,8 +95,6 @@ def _pitch(origins: Array) -> float:
 
 def _meetings(modules: Modules, pitch: float) -> list[Meeting]:
     """The pairs of modules that meet within TOLERANCE, by the edges that fit best; best first."""
-    from scipy.spatial import KDTree
-
     found = []
     for i, j in KDTree(modules.origins).query_pairs(NEIGHBOURS * pitch, output_type="ndarray"):
         trials = [Meeting(0.0, int(i), int(j), a, b) for a in range(3) for b in range(3)]
@@ -121,13 +120,6 @@ def _grown(count: int, pitch: float, meetings: list[Meeting]) -> tuple[Array, Ar
 
     Each part begins at a module of its own, at the origin.
     """
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import (
-        breadth_first_order,
-        connected_components,
-        minimum_spanning_tree,
-    )
-
     origins, angles = np.zeros((count, 2)), np.zeros(count)
     at = {(m.first, m.second): m for m in meetings}
     at |= {(m.second, m.first): m.reversed() for m in meetings}

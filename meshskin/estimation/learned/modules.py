@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
@@ -193,8 +194,6 @@ def _misfit(
 ) -> tuple[float, tuple[str, ...]]:
     """Factor of the covariances by the distances of single taxels from their places, and what to
     say of it: 1 and nothing where chance explains them."""
-    from scipy.special import chdtrc  # scipy.stats imports slowly
-
     points = parametrization.points()
     slope = np.zeros((len(points), 3, 6))
     square, freedom = 0.0, 0

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import chdtrc, fdtrc
 
 from ...core.arrays import Array
 from ...core.value import Value
@@ -60,8 +61,6 @@ def misfits(square: float, freedom: float, level: float, pairs: int = 0) -> bool
     """Whether the sum of squared residuals with `freedom` degrees is above chance at `level`.
 
     pairs: of readings that their unit, the noise, was estimated from; 0: it is known."""
-    from scipy.special import chdtrc, fdtrc
-
     if pairs:
         return bool(fdtrc(freedom, pairs, square / freedom) < level)
     return bool(chdtrc(freedom, square) < level)

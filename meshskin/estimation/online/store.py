@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from scipy.spatial import cKDTree
 
 from ...contact import Patches
 from ...core.arrays import Array
@@ -191,8 +192,6 @@ class ContactStore:
 
     def near(self, points: Array, radius: float) -> np.ndarray:
         """Contacts, rising, within `radius`, m, of any of the points (p, 3)."""
-        from scipy.spatial import cKDTree
-
         where = self.columns["points"].values
         if len(where) >= self._in_tree + TREE_STEP:
             self._tree, self._in_tree = cKDTree(where.copy()), len(where)

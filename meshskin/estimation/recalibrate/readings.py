@@ -7,14 +7,14 @@ predicts them: a few contacts alone would determine neither.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core import arrow
 from ...core.errors import CalibrationError
 from ...recording.recording import Recording
-from ...scene.belief import RAW
+from ...scene.belief import RAW, Belief
+from ...skin.skin import Skin
 from ..calibration import Calibration
 from ..data.gather import gather, gather_or_learn
 from ..data.measurements import Measurements
@@ -23,10 +23,6 @@ from ..learned.result import FALLING
 from ..localization import CalibratedSkin
 from .skin_map import SkinMap
 from .touches import Touches
-
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
-    from ...skin.skin import Skin
 
 MIN_READINGS = 8
 """Least number of readings: four errors are estimated from them."""

@@ -10,8 +10,6 @@ changes that these take; the more probable result counts.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...core.arguments import check_real, check_type
@@ -19,6 +17,8 @@ from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
 from ...core.progress import Progress, Stage
 from ...recording.recording import Recording
+from ...scene.belief import Belief
+from ...skin.skin import Skin
 from ..calibration import Calibration
 from ..cross_validation import recorded_belief
 from . import errors as error_model
@@ -39,10 +39,6 @@ from .readings import read
 from .result import Finding, Recalibration, updated
 from .skin_map import SIGMA, SkinMap, skin_map
 from .touches import Touches
-
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
-    from ...skin.skin import Skin
 
 FALSE_ALARM = 0.01
 """Default bound on the probability that anything is found where nothing changed."""

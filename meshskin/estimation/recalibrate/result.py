@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,7 +12,10 @@ from scipy.spatial import cKDTree
 from ...core import se3
 from ...core.arrays import Array
 from ...core.notebook import Card
+from ...core.progress import Progress
 from ...core.value import Value
+from ...scene.belief import Belief
+from ...skin.skin import Skin
 from ..calibration import Calibration
 from ..chart import align_normals
 from ..result import join_words
@@ -30,12 +33,7 @@ from .hypotheses import (
     UNDECIDED,
 )
 from .skin_map import SkinMap, amplification
-
-if TYPE_CHECKING:
-    from ...core.progress import Progress
-    from ...scene.belief import Belief
-    from ...skin.skin import Skin
-    from .touch_design import TouchDesign
+from .touch_design import TouchDesign
 
 SHOWN = 20
 """Ids of one state that the text lists."""

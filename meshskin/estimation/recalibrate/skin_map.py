@@ -4,7 +4,6 @@ and the turns by which a rigid module looks the same."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,13 +12,11 @@ from ...core.arguments import check_real
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ...core.value import Value
+from ...scene.belief import Belief
 from ...skin import slots
 from ...skin.skin import Skin
 from ..calibration import Calibration
 from ..data.global_parameters import IN_GROUP
-
-if TYPE_CHECKING:
-    from ...scene.belief import Belief
 
 SIGMA = 0.3e-3
 """Standard deviation, m, of a taxel's place along each tangent in a map that states none. Chosen:

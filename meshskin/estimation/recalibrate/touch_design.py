@@ -11,9 +11,9 @@ Transactions on Communication Technology 15 (1967).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
 
 from ...contact import AUTO, LEARNED
 from ...core.arguments import check_integer
@@ -22,7 +22,10 @@ from ...core.errors import CalibrationError
 from ...core.notebook import AXES, Tabular
 from ...core.progress import Progress, Stage
 from ...core.value import Value
+from ...scene.belief import Belief
+from ...skin.skin import Skin
 from .. import chart
+from ..calibration import Calibration
 from ..data.measurements import Measurements
 from ..data.patch_shape import over_edges
 from ..data.raw_readings import in_recorded_unit
@@ -33,13 +36,6 @@ from .hypotheses import dead, moved, ring, turned, unchanged
 from .readings import touches_of
 from .skin_map import SkinMap, skin_map
 from .touches import Touches
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from ...scene.belief import Belief
-    from ...skin.skin import Skin
-    from ..calibration import Calibration
 
 MIN_SQUARE = 0.2
 """Squared difference of expected readings, in variances, below which a touch tells nothing."""
@@ -73,8 +69,6 @@ class TouchDesign(Value, Tabular):
 
     def to_arrow(self) -> pa.Table:
         """One row a touch: x, y, z (m), nx, ny, nz, tests (number of the module, or id)."""
-        import pyarrow as pa
-
         numbers = dict(zip(AXES, [*self.points.T, *self.normals.T], strict=True))
         return pa.table(numbers | {"tests": self.unit})
 

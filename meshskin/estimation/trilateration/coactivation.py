@@ -10,6 +10,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+from scipy.special import ndtr
 
 from ...core.arrays import Array, means_by_group, sums_by_group
 from .. import chart
@@ -82,9 +85,6 @@ def responsive(data: Measurements, points: Array) -> np.ndarray:
     The others were read and never pressed: the likelihood has an optimum for them, too, where their
     noise is a little larger, and its covariance would be far too small.
     """
-    from scipy.spatial import cKDTree
-    from scipy.special import ndtr
-
     largest = np.zeros(len(data.ids))
     np.maximum.at(largest, data.taxel, data.pressure)
     if data.noise is None:
@@ -155,9 +155,6 @@ def _densest_contact(data: Measurements, rows: np.ndarray, radius: float) -> np.
 
     No reading counts for more than three times the taxel's mean one.
     """
-    from scipy.sparse import csr_array
-    from scipy.spatial import cKDTree
-
     m, tree = len(data.points), cKDTree(data.points)
     pairs = tree.sparse_distance_matrix(tree, radius, output_type="ndarray")
     near = csr_array((np.ones(len(pairs)), (pairs["i"], pairs["j"])), shape=(m, m))

@@ -13,21 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...contact.ellipse import NODES
 from ...core.arrays import Array, means_by_group, sums_by_group
 from ...core.errors import CalibrationError
+from ...geometry.body import Body
 from .. import chart
 from ..chart import Charts
 from ..data.measurements import Measurements
 from ..result import SURFACE, EstimatorResult
 from .circles import Circles, circles
-
-if TYPE_CHECKING:
-    from ...geometry.body import Body
 
 TOO_FEW = "fewer than three readings"
 COLLINEAR = "contacts near a line"

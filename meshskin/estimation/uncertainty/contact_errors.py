@@ -10,22 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core import se3
 from ...core.arrays import Array
 from ..data import delay
+from ..data.measurements import Measurements
 from ..data.registration import CELL, MIN_SCATTER, slopes
 from ..trilateration.displacements import surface_motion
 from ..trilateration.trilaterate import starts
-from . import sheets, swapped_axes
-from .surface_errors import growth, local_means, normal_variance
-from .tilts import tilts
-
-if TYPE_CHECKING:
-    from ..data.measurements import Measurements
+from . import swapped_axes
+from .surface_errors import growth, local_means, normal_variance, sheet_covariance, tilts
 
 SHIFT_SIGMAS = 5.0
 """Displacement of the contact points, in its standard deviations, from which it is not chance."""
@@ -90,7 +86,7 @@ def systematic_covariance(
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
     out[:, 2, 2] += normal_variance(data, hit.distance) + data.belief.surface_sigma**2
     out[:, 2, 2] += np.einsum("ni,ni->n", rotations[:, :, 2], swapped) ** 2
-    return out + sheets.covariance(data.body, places, rotations[:, :, 2])
+    return out + sheet_covariance(data.body, places, rotations[:, :, 2])
 
 
 def displacement(distance: Array, normals: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtr, chdtrc, fdtrc
 
 from ...core.arrays import Array
 
@@ -70,8 +71,6 @@ def goodness_of_fit(
     pairs: where the noise is not known, the number of independent pairs of neighbouring contacts
     that it was estimated from; the ratio of the two variances then has an F distribution.
     """
-    from scipy.special import chdtr, chdtrc, fdtrc  # scipy.stats imports slowly
-
     left_out = f" ({outlying} outlying readings left out)" if outlying else ""
     if not noise_known and freedom > 0 and pairs >= MIN_PAIRS:
         p, ratio = float(fdtrc(freedom, pairs, chi2 / freedom)), chi2 / freedom

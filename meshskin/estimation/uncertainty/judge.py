@@ -8,13 +8,15 @@ contact points, the contact points against the believed surface, and the columns
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core.arrays import Array
+from ...recording.recording import Recording
+from ..calibration import Calibration
 from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_parameters
+from ..data.measurements import Measurements
 from ..data.patch_shape import MAX_EDGES
 from ..joint.departures import MIN_SCORE
 from ..learned.contact_correlations import MAX_CORRELATION
@@ -22,11 +24,6 @@ from . import mounted_anew, recorded_normals, second_places, swapped_axes, verdi
 from .contact_errors import SURFACE_DEPTHS, displacement, motion, nearer_points
 from .goodness_of_fit import STRONG
 from .verdict import DOUBT, FAIL, LEVELS, PASS, PRIOR_SIGMAS, Finding, Verdict, level_of
-
-if TYPE_CHECKING:
-    from ...recording.recording import Recording
-    from ..calibration import Calibration
-    from ..data.measurements import Measurements
 
 MAX_MISFIT = 0.05
 """Residuals beyond the noise, relative to the strong readings, from which a model that does not fit

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from ...core import se3
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...recording.recording import Recording
+from ...scene.belief import Belief
+from ...skin.skin import Skin
+from ..calibration import Calibration
 from .observability import cramer_rao, true_positions
-
-if TYPE_CHECKING:
-    from ...recording.recording import Recording
-    from ...scene.belief import Belief
-    from ...skin.skin import Skin
-    from ..calibration import Calibration
 
 MIN_ALIGNED = 3
 """Fewest taxels that determine a rigid alignment."""
@@ -86,8 +85,6 @@ def nees_band(count: int, confidence: float = 0.95) -> tuple[float, float]:
     Source: Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation"
     (2001), section 5.4.
     """
-    from scipy.special import gammaincinv
-
     tail = (1 - confidence) / 2
     low, high = (float(2 * gammaincinv(count, p) / count) for p in (tail, 1 - tail))
     return low, high

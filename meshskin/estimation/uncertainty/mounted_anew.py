@@ -6,15 +6,12 @@ The contact points before and after lie on the believed surface by two different
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core.arrays import Array
+from ..data.measurements import Measurements
 from .verdict import DOUBT, Finding
-
-if TYPE_CHECKING:
-    from ..data.measurements import Measurements
 
 PLACES = 16
 """Contacts, evenly spaced, from which on a body may have moved."""

@@ -7,12 +7,16 @@ the position along the normal and both tilts. The rotation about the normal is n
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import ellipe, log_ndtr, ndtr
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...geometry.body import Body
+from ...recording.recording import Recording
+from ...scene.belief import Belief
+from ...skin.skin import Skin
 from .. import chart
 from ..data.gather import gather
 from ..data.global_parameters import GlobalParameters
@@ -22,12 +26,6 @@ from ..joint.contacts import LinearizedContacts
 from ..joint.likelihood import Likelihood
 from ..joint.readings import Readings
 from ..trilateration.displacements import surface_motion
-
-if TYPE_CHECKING:
-    from ...geometry.body import Body
-    from ...recording.recording import Recording
-    from ...scene.belief import Belief
-    from ...skin.skin import Skin
 
 SURFACE_SIGMA = 1e-8
 """Standard deviation of the believed surface along its normal, m: the closest point's numerical
@@ -158,8 +156,6 @@ def _bound(h: Array, parameters: GlobalParameters) -> Bound:
 
 def censored_information(c: Array) -> Array:
     """Fisher information (k,) on the mean, in units of 1/sigma^2; c = (threshold - mean)/sigma."""
-    from scipy.special import log_ndtr, ndtr
-
     log_density = -(c**2) / 2 - np.log(2 * np.pi) / 2
     density = np.exp(log_density)
     return np.asarray(ndtr(-c) + c * density + np.exp(2 * log_density - log_ndtr(c)))
@@ -171,8 +167,6 @@ def mean_distance(covariance: Array) -> Array:
     E is the complete elliptic integral of the second kind at the parameter m = 1 - (s_2/s_1)^2,
     s_1 >= s_2 the standard deviations along the principal axes; inf for an infinite covariance.
     """
-    from scipy.special import ellipe
-
     out = np.full(len(covariance), np.inf)
     good = np.isfinite(covariance).all(axis=(1, 2))
     small, large = np.linalg.eigvalsh(covariance[good]).T

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...core.arrays import Array
-from ...recording.recording import JOINT_ANGLES
+from ...recording.recording import JOINT_ANGLES, Recording
+from ..data.measurements import Measurements
 from ..data.patch_shape import unevenness
 from ..data.unit_checks import angles
 from . import verdict
 from .verdict import PASS, Finding, level_of
-
-if TYPE_CHECKING:
-    from ...recording.recording import Recording
-    from ..data.measurements import Measurements
 
 NORMAL_ANGLES = 20.0, 45.0
 """Median angle of recorded normals and those of the believed surface, in degrees, from which it is

@@ -6,17 +6,14 @@ and nothing but the few that answer in both tells that the others have wrong ids
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...core.arrays import Array
+from ..calibration import Calibration
+from ..data.measurements import Measurements
 from ..trilateration.coactivation import NEAR
 from .verdict import DOUBT, FAIL, Finding
-
-if TYPE_CHECKING:
-    from ...core.arrays import Array
-    from ..calibration import Calibration
-    from ..data.measurements import Measurements
 
 STRONG = 0.6
 """Share of a taxel's largest reading near its place from which a distant one is strong: what lags

@@ -1,21 +1,33 @@
-"""Errors of the believed surface: along its normals, and those of its size."""
+"""Errors of the believed surface: along its normals, of its size, of its tilt, and other sheets.
+
+Where contacts are computed from the centre of an indenter, R away from them, a surface that is
+tilted by g displaces them along it by R g.
+
+Parts of a CAD mesh overlap and lie in each other's seams, so that two surfaces that face the same
+way are some tenths of a millimetre apart. Readings do not tell which of them a taxel is on: a
+contact presses the taxels on both. `Body.skinned` closes them into one surface.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
-from ...core.arrays import Array
-
-if TYPE_CHECKING:
-    from ...geometry.body import Body
-    from ..data.measurements import Measurements
+from ...contact.reading import SHEET_FACING, SHEET_STEP
+from ...core.arrays import Array, means_by_group, sums_by_group
+from ...geometry.body import Body
+from ..data.measurements import Measurements
 
 LEAST_HEIGHT = 0.1
 """Least distance of the surface from the middle, along the normals, relative to the diagonal of the
 bounds: a flat sheet of skin is part of a body, whose size does not follow from it; a ball has 0.29,
 a cylinder eight times as long as its radius 0.19."""
+FLAT = 0.01
+"""Mean square of the distances of contacts from a plane, relative to that along it, which the slope
+of their heights across it is regularized by: along the normal contacts hardly vary."""
+SAME = 1e-6
+"""Distance, m, up to which a hit is on the sheet of the taxel: rays are single precision."""
 
 
 def growth(body: Body, points: Array) -> Array:
@@ -51,3 +63,49 @@ def normal_variance(data: Measurements, distance: Array) -> Array:
     """
     mean, variance = local_means(data, distance)
     return np.where(data.counts > 0, mean**2 + variance, np.mean(distance**2))
+
+
+def tilts(data: Measurements, points: Array, distance: Array) -> Array:
+    """Displacements (n, 3), m, of contacts that are computed as the points (m, 3), m, below an
+    indenter's centre, by the tilt of the real surface against the believed one.
+
+    The tilt is the slope of the distances (m,), m, across the contacts of a taxel; the centre is
+    a radius away from the contact.
+    """
+    n, weight = len(data.ids), data.pressure**2
+    values = np.column_stack([points, distance])[data.contact]
+    off = values - means_by_group(values, data.taxel, n, weight)[data.taxel]
+    arm, rise = off[:, :3], off[:, 3]
+    normal = sums_by_group(weight[:, None, None] * arm[:, :, None] * arm[:, None, :], data.taxel, n)
+    trace = np.maximum(np.trace(normal, axis1=1, axis2=2), 1e-300)
+    normal += FLAT * trace[:, None, None] * np.eye(3)
+    along = sums_by_group((weight * rise)[:, None] * arm, data.taxel, n)
+    slope = np.linalg.solve(normal, along[:, :, None])[:, :, 0]
+    return np.asarray(data.belief.indenter.radius * slope)
+
+
+def sheet_covariance(body: Any, points: Array, normals: Array) -> Array:
+    """What another sheet adds to the covariances (n, 6, 6) of poses at `points` (n, 3), m, with
+    `normals` (n, 3), taxel frame: its distance along the normal and its tilt, squared.
+
+    It faces the same way and is so near that contacts of the taxel press it, too: the taxel may be
+    on either. Zero where there is none, or where a point is not known.
+    """
+    out = np.zeros((len(points), 6, 6))
+    rows = np.flatnonzero(np.isfinite(points).all(axis=1))
+    if not len(rows) or not hasattr(body, "project"):  # an exact surface has one sheet
+        return out
+    height, tilt = np.zeros(len(rows)), np.zeros(len(rows))
+    for way in (1.0, -1.0):  # rays from above and from below
+        start = points[rows] + way * SHEET_STEP * normals[rows]
+        hit = body.project(start, -way * normals[rows])
+        cosine = np.einsum("ij,ij->i", hit.normal, normals[rows])
+        apart = np.abs(SHEET_STEP - hit.distance)
+        farther = (
+            (cosine > SHEET_FACING) & (apart < SHEET_STEP) & (apart > np.maximum(height, SAME))
+        )
+        height = np.where(farther, apart, height)
+        tilt = np.where(farther, np.arccos(np.clip(cosine, -1.0, 1.0)), tilt)
+    out[rows, 2, 2] = height**2
+    out[rows, 3, 3] = out[rows, 4, 4] = tilt**2
+    return out

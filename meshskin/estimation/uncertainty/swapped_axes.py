@@ -8,19 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import permutations, product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core.arrays import Array
-from ...recording.recording import JOINT_ANGLES
+from ...recording.recording import JOINT_ANGLES, Recording
+from ..data.measurements import Measurements
 from . import verdict
 from .mounted_anew import SMALL, displacements
 from .verdict import FAIL, PASS, Finding, level_of
-
-if TYPE_CHECKING:
-    from ...recording.recording import Recording
-    from ..data.measurements import Measurements
 
 POINTS = 300
 """Contact points, at most, that are compared."""

@@ -7,16 +7,12 @@ If the body's pose is wrong so, the whole map is displaced, and nothing in the l
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...core import se3
 from ...core.arrays import Array
+from ..data.measurements import Measurements
 from .contact_errors import SHIFT_SIGMAS, displacement, effective_variance
-
-if TYPE_CHECKING:
-    from ..data.measurements import Measurements
 
 LARGE = 0.3e-3
 """Motion of the contact points, m rms, from which it is named if it is within SHIFT_SIGMAS of

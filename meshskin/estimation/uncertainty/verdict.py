@@ -11,17 +11,16 @@ import numpy as np
 
 from ...contact.disc import disc_mean
 from ...core.arrays import Array, means_by_group
-from ...recording.recording import UNCOMPARED
+from ...recording.recording import UNCOMPARED, Recording
 from ...scene.belief import RAW
 from ..data import delay
+from ..data.measurements import Measurements
 from ..data.sensor_range import MAX_LOST, unanswered_contacts
 from ..learned.contact_correlations import KINDS
 from ..result import LearnedResponse, ids_in_words
 
 if TYPE_CHECKING:
-    from ...recording.recording import Recording
     from ..calibration import Calibration
-    from ..data.measurements import Measurements
 
 PASS, DOUBT, FAIL = LEVELS = ("PASS", "DOUBT", "FAIL")
 """Levels of a verdict: nothing found; check before use; do not use."""

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...core.arrays import Array, sums_by_group
 from .. import chart
+from ..calibration import Calibration
+from ..data.measurements import Measurements
 from ..data.pairs import near_pairs
 from .verdict import PASS, Finding, level_of
-
-if TYPE_CHECKING:
-    from ..calibration import Calibration
-    from ..data.measurements import Measurements
 
 MEAN_SIGMAS = 4.0, 12.0
 """Median distance of the positions from the weighted means of contact points, in standard

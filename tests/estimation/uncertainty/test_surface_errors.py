@@ -1,4 +1,6 @@
-"""Another sheet of the body under or over a taxel widens its position along the normal."""
+"""Tilt of the surface displaces contacts; another sheet widens positions along the normal."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -6,10 +8,26 @@ import trimesh
 
 import meshskin as ms
 from meshskin.core.se3 import transform
-from meshskin.estimation.uncertainty import sheets
+from meshskin.estimation.uncertainty.surface_errors import sheet_covariance, tilts
 from meshskin.geometry.region import Cap
 
 UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.03])
+def test_contacts_under_a_tilted_surface_are_displaced_by_the_radius(slope):
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(-5e-3, 5e-3, (300, 2)), np.zeros(300)])
+    data = SimpleNamespace(
+        ids=np.arange(2),
+        taxel=np.repeat([0, 1], 150),
+        contact=np.arange(300),
+        pressure=rng.uniform(1.0, 2.0, 300),
+        belief=SimpleNamespace(indenter=SimpleNamespace(radius=0.01)),
+    )
+    height = slope * points[:, 0] + rng.normal(0.0, 1e-6, 300)
+    found = tilts(data, points, height)
+    np.testing.assert_allclose(found, np.tile([0.01 * slope, 0.0, 0.0], (2, 1)), atol=1e-5)
 
 
 def box(size, top):
@@ -26,14 +44,14 @@ def lid():
 
 def test_a_sheet_below_and_a_sheet_above(lid):
     places = np.array([[0.0, 0.0, 0.0], [0.01, 0.01, -0.4e-3], [0.03, 0.02, 0.0], [np.nan] * 3])
-    found = np.sqrt(sheets.covariance(lid, places, np.tile(UP, (4, 1))))
+    found = np.sqrt(sheet_covariance(lid, places, np.tile(UP, (4, 1))))
     assert found[:, 2, 2] == pytest.approx([0.4e-3, 0.4e-3, 0.0, 0.0], abs=1e-8)
     assert found[:, 3, 3] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_other_face_of_a_thin_plate_is_no_such_sheet():
     plate = ms.Body.from_mesh(box((0.08, 0.06, 0.6e-3), 0.0))
-    assert np.abs(sheets.covariance(plate, np.zeros((1, 3)), UP[None])).max() < 1e-15
+    assert np.abs(sheet_covariance(plate, np.zeros((1, 3)), UP[None])).max() < 1e-15
 
 
 def test_a_thin_plate_in_any_position_gives_no_warning():
@@ -47,7 +65,7 @@ def test_a_thin_plate_in_any_position_gives_no_warning():
         top = mesh.vertices @ up
         places = top.max() * up + np.linspace(-0.02, 0.02, 20)[:, None] * turn[:3, 0]
         with np.errstate(invalid="raise"):
-            found = sheets.covariance(ms.Body.from_mesh(mesh), places, normals)
+            found = sheet_covariance(ms.Body.from_mesh(mesh), places, normals)
         assert np.isfinite(found).all()
 
 
