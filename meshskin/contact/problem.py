@@ -58,10 +58,11 @@ class ContactProblem:
     """Thickness of the soft layer of the body, m; None: a half-space."""
 
     def __post_init__(self) -> None:
-        for name, unit in (("indenter_radius", "m"), ("modulus", "Pa"), ("thickness", "m")):
+        check_real("modulus", self.modulus, "Pa", above=0.0, error=ContactError)
+        for name in ("indenter_radius", "thickness"):  # inf: a plane, a half-space
             value = getattr(self, name)
             if value is not None and not np.array_equal(value, math.inf):
-                check_real(name, value, unit, above=0.0, error=ContactError)
+                check_real(name, value, "m", above=0.0, error=ContactError)
         check_real("force", self.force, "N", least=0.0, error=ContactError)
         check_real("poisson", self.poisson, above=-1.0, most=0.5, error=ContactError)
         check_array("curvature", self.curvature, error=ContactError)

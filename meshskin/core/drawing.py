@@ -188,7 +188,9 @@ def _draw_dots(
     if values is not None:
         good &= np.isfinite(values)
     rows = np.flatnonzero(good)
-    rows = rows[:: max(1, -(-len(rows) // MOST_DOTS))]
+    if not len(rows):
+        return
+    rows = rows[:: -(-len(rows) // MOST_DOTS)]
     xy = view.flat(points[rows])
     shown = np.ones(len(rows)) if normals is None else normals[rows] @ view.axes[2]
     alpha = np.where(shown >= -1e-9, 1.0, HIDDEN)
@@ -202,7 +204,7 @@ def _draw_dots(
     )  # fmt: skip
     dots.set_alpha(alpha.tolist())
     ax.add_collection(dots, autolim=False)
-    if values is None or not len(rows):
+    if values is None:
         return
     chosen = values[rows]
     low, high = float(chosen.min()), float(chosen.max())
@@ -267,7 +269,7 @@ def solid(
         ax.set_axis_off()
         if len(every):
             low, high = every.min(axis=0), every.max(axis=0)
-            if close and points is not None and len(points):
+            if close and points is not None and len(at):
                 near = np.concatenate(seen[-2:])
                 around = SURROUNDINGS * float(np.ptp(near, axis=0).max())
                 low = np.maximum(low, near.min(axis=0) - around)

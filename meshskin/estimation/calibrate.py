@@ -13,7 +13,7 @@ from ..contact import AUTO, LEARNED
 from ..core.arguments import check_integer, check_name, check_real, check_type
 from ..core.arrays import Array
 from ..core.blas import single_threaded
-from ..core.errors import CalibrationError, ContactError, warn_left_out
+from ..core.errors import CalibrationError, ConfigError, ContactError, warn_left_out
 from ..core.progress import Progress, Stage
 from ..core.provenance import digest, provenance
 from ..recording.recording import Recording
@@ -57,10 +57,9 @@ class Estimation:
         check_type(Recording, recording, "what is calibrated")
         if not hasattr(belief, "taxel_ids"):
             raise CalibrationError(
-                "no belief",
-                value=type(belief).__name__,
+                "no belief", value=type(belief).__name__,
                 remedy="give what the robot's owner knows: scene.belief()",
-            )
+            )  # fmt: skip
         self.data, self._out_of_range = gather_or_learn(recording, belief)
         self.recording, self.belief, self.start = recording, belief, start
         self._displacements: dict[Trilateration, Displacements] = {}
@@ -104,12 +103,17 @@ class Estimation:
         unknown_scale = 'readings="raw"' if self.belief.readings == RAW else self._out_of_range
         if unknown_scale and method not in UNITLESS:
             raise CalibrationError(
-                f"the method {method} needs pressures of a contact model",
-                value=unknown_scale,
+                f"the method {method} needs pressures of a contact model", value=unknown_scale,
                 remedy=f"use one of {', '.join(UNITLESS)}",
-            )
+            )  # fmt: skip
         begin, data = time.perf_counter(), self.data
         limits = {"tolerance": tolerance, "iterations": iterations} if method == "joint" else {}
+        usual = (tolerance, iterations) == (NEWTON_TOLERANCE, MAX_ITERATIONS)
+        if not usual and (data.learned or not limits):
+            raise ConfigError(
+                "tolerance and iterations are for the joint estimate under a contact model",
+                value=f"the method {method}" + " with a learned response" * data.learned,
+            )
         result = METHODS[method](self, stage, **limits)
         shape = observability.shape_operators(data.body, result.points, result.rotations)
         covariance = result.pose_covariances
@@ -330,12 +334,13 @@ def calibrate(
     by its readings; "coactivation", the layout by which taxels answer together, for contact points
     that are wrong in themselves: they only place the whole, and the contact model only scales it.
     tolerance: Newton decrement at convergence of the joint estimate; iterations: the most of IPOPT
-    in each linearization. progress(stage, done, total): called between the steps. Contact points
-    that the robot computed from its own taxels give the verdict FAIL, and no estimate.
-    Warns (LeftOutWarning) where taxels are not determined. Raises UnknownNameError for another
-    method, ConfigError for tolerance or iterations that are not positive, RecordingError for values
-    that are not finite, CalibrationError for a scene in place of a belief, a method that needs
-    pressures, no readings, unknown taxels, ContactError where the contact model leaves its range.
+    in each linearization; other methods and learned responses have neither. progress(stage, done,
+    total): called between the steps. Contact points that the robot computed from its own taxels
+    give the verdict FAIL, and no estimate. Warns (LeftOutWarning) where taxels are not determined.
+    Raises UnknownNameError for another method, ConfigError for tolerance or iterations that are not
+    positive or not used, RecordingError for values that are not finite, CalibrationError for a
+    scene in place of a belief, a method that needs pressures, no readings, unknown taxels,
+    ContactError where the contact model leaves its range.
     """
     check_name("method", method, tuple(METHODS))
     if isinstance(recording, Recording) and recording.points_from_taxels:

@@ -127,8 +127,8 @@ class Body(Value, Card):
     def closest(self, points: ArrayLike, face: ArrayLike | None = None) -> Closest:
         """Closest points of the smooth surface to `points` (n, 3), body frame, m.
 
-        `face` (n,): faces from which the search may start. Raises MeshError where a point is not
-        finite.
+        `face` (n,): faces from which the search may start, such as those of the last step; they
+        change its time, not its result. Raises MeshError where a point is not finite.
         """
         return self.surface.closest(points, face)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.arguments import check_type
+from ..core.arguments import check_integer, check_type
 from ..core.arrays import Array, means_by_group, neighbour_distances
 from ..core.errors import SkinError
 from . import slots
@@ -100,7 +100,11 @@ class Difference:
         return words(self.permutation, self.unit)
 
     def worst(self, count: int = 10) -> list[tuple[int, float]]:
-        """Ids and distances (m) of the worst taxels after alignment and permutation."""
+        """Ids and distances (m) of the worst taxels after alignment and permutation.
+
+        Raises ConfigError for a negative count.
+        """
+        count = check_integer("count of the worst taxels", count, least=0)
         order = np.argsort(-self.paired, kind="stable")[:count]
         return [(int(self.paired_ids[k]), float(self.paired[k])) for k in order]
 

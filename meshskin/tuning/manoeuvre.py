@@ -120,8 +120,8 @@ def slide_distance(t: Any, speed: Any, ramp: Any, distance: Any) -> Any:
 def slide_start(
     scene: Scene, place: ArrayLike | None, direction: ArrayLike | None
 ) -> tuple[Array, Array]:
-    """Start (3,), m, and direction (3,) of the slide, body frame; by default the surface point under
-    the skin's centre and its first principal direction.
+    """Start (3,), m, and direction (3,) of the slide, body frame; by default the surface point
+    nearest to the skin's centre and its first principal direction.
 
     Raises TuningError for a place farther than MAX_OFF from the surface.
     """

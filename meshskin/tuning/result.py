@@ -60,11 +60,11 @@ class Confirmation(Value):
 class TuningResult(TuningSolution):
     """Gains and speeds for a scene; `tuned_scene` is the scene with them.
 
-    `gains` and `trajectories` have a rest that is rounded up to whole steps, as the simulator has it;
-    `value` is that of the rest before. Multipliers are the decrease of the
-    objective for a limit relaxed by 1 (overshoot and forces: by the reference force), by a whole
-    limit that has a unit, or, for the range of a gain, for a range wider by the factor e. Where the
-    predicted decrease is not small (0.002) the search ended at a kink, and they are not valid.
+    `gains` and `trajectories` have a rest that is rounded up to whole steps, as the simulator has
+    it; `value` is that of the rest before. Multipliers are the decrease of the objective for a
+    limit relaxed by 1 (overshoot and forces: by the reference force), by a whole limit that has a
+    unit, or, for the range of a gain, for a range wider by the factor e. Where the predicted
+    decrease is not small (0.002) the search ended at a kink, and they are not valid.
     """
 
     scene: Scene

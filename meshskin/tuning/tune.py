@@ -80,8 +80,8 @@ def tune(
 
     progress("tune", done, total): called after each iteration of a search, whose number is not
     known before. Raises TuningError where no gains meet the demands, with the limit to relax and by
-    how much, and for a place farther than 2 mm from the body; UnknownNameError, ConfigError for invalid arguments, ReachError where the arm cannot
-    make the manoeuvre.
+    how much, and for a place farther than 2 mm from the body; UnknownNameError, ConfigError for
+    invalid arguments, ReachError where the arm cannot make the manoeuvre.
     """
     over, demands = check_scenarios(over), demands or Demands()
     _check(scene, objective, distance, demands, start)

@@ -91,6 +91,7 @@ def test_upgrade_starts_at_the_given_model():
     ("change", "names"),
     [
         ({"force": -1.0}, "force is out of range"),
+        ({"modulus": np.inf}, "modulus must be a finite number"),
         ({"curvature": -120.0}, "hollow"),
         ({"modulus": 2e2}, "indenter radius"),
         ({"thickness": 1e-5}, "thickness/cell"),

@@ -96,6 +96,8 @@ def test_a_large_mesh_is_drawn_coarser():
 
 
 def test_a_picture_shows_body_and_taxels(sphere):
+    for close in (False, True):  # without a taxel
+        ms.Skin(np.zeros((0, 4, 4)), []).plot(body=sphere.body, close=close)
     figure = sphere.skin.plot(body=sphere.body)
     figure.canvas.draw()
     import io

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+import meshskin as ms
 from meshskin.core.errors import (
     CalibrationError,
     ConfigError,
@@ -217,6 +218,15 @@ def test_a_tolerance_must_be_positive(noisy):
     for tolerance in (0.0, -1e-8, np.nan):
         with pytest.raises(ConfigError, match="tolerance of a calibration"):
             calibrate(*noisy, tolerance=tolerance)
+
+
+def test_limits_of_the_joint_estimate_are_refused_where_they_have_no_effect(noisy, sphere):
+    recording, belief = noisy
+    with pytest.raises(ConfigError, match=r"for the joint estimate .*got the method centroid"):
+        calibrate(recording, belief, method="centroid", iterations=7)
+    with pytest.raises(ConfigError, match="got the method joint with a learned response"):
+        learned = sphere.belief(contact="learned")
+        calibrate(ms.press(sphere, sphere.skin.positions[:20]), learned, tolerance=1e-3)
 
 
 def test_methods_share_what_they_have_in_common(noisy):

@@ -7,7 +7,7 @@ import pytest
 
 from meshskin.cli import main
 from meshskin.core import se3
-from meshskin.core.errors import SkinError
+from meshskin.core.errors import ConfigError, SkinError
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Cap
 from meshskin.skin import slots
@@ -64,6 +64,8 @@ def test_noise_remains_and_the_worst_taxel_is_listed(plain):
     poses[17, :3, 3] += 2e-3
     d = compare(plain, Skin(poses, plain.ids))
     assert rms(np.delete(d.aligned, 17)) == pytest.approx(1e-4 * np.sqrt(3), rel=0.15)
+    with pytest.raises(ConfigError, match="count of the worst taxels is out of range, got -1"):
+        d.worst(-1)
     taxel, off = d.worst(3)[0]
     assert taxel == 17
     assert off == pytest.approx(2e-3 * np.sqrt(3), rel=0.1)

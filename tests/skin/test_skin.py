@@ -190,6 +190,11 @@ def edited(path, line, change):
             lambda s: s.rsplit(",", 1)[0] + ",3.0",
             "taxel line 3: the frame must be a rotation, got quaternion of norm",
         ),
+        (
+            4,
+            lambda s: ",".join([*s.split(",")[:-4], "0,0,0,0"]),
+            "the frame must be a rotation, got axes that are not orthonormal",
+        ),
         (0, lambda s: "# disc_radius_m=wide", "disc radius"),
     ],
 )

@@ -36,10 +36,10 @@ def test_a_geodesic_of_the_sphere_is_a_great_circle():
 
 
 def test_a_place_off_the_body_is_refused_with_the_nearest_point(free):
-    start = slide_start(free, BOTTOM + [0.0, 0.0, -1.5e-3], [1.0, 0.0, 0.0])[0]
+    start = slide_start(free, 1.015 * BOTTOM, [1.0, 0.0, 0.0])[0]
     np.testing.assert_allclose(start, BOTTOM, atol=1e-6)
     with pytest.raises(TuningError, match=r"place is not on the body, got 50 mm off .*-0\.1\)"):
-        slide_start(free, BOTTOM - [0.0, 0.0, 0.05], [1.0, 0.0, 0.0])
+        slide_start(free, 1.5 * BOTTOM, [1.0, 0.0, 0.0])
 
 
 def test_the_patch_stands_for_the_surface_about_the_slide():

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...core import se3
+from ...core.arguments import check_integer
 from ...core.arrays import Array
 from ...core.notebook import Card
 from ...core.progress import Progress
@@ -106,7 +107,11 @@ class Recalibration(Value, Card):
         return "\n".join(self.lines())
 
     def lines(self, shown: int | None = SHOWN) -> list[str]:
-        """The result in words, a line each; lists of at most `shown` ids (None: all)."""
+        """The result in words, a line each; lists of at most `shown` ids (None: all).
+
+        Raises ConfigError for a negative number.
+        """
+        shown = None if shown is None else check_integer("shown", shown, least=0)
         e, count = self.errors, len(self.units)
         out = [
             f"{self.contacts} touches of {count} {self.unit}s; false alarms: at most "

@@ -99,7 +99,8 @@ void derivatives(const Surface *surface, int64_t n, const int64_t *face, const d
     for (int64_t k = 0; k < n; k++) keep(surface, n, k, face[k], uv + 2 * k, out);
 }
 
-/* From `foot`, whose gap is filled in; gives the edges crossed, at least `far` for a held walk. */
+/* From `foot`, whose gap is filled in; gives the edges crossed, at least `far` for a held walk, and
+   for one that ends farther from p than half a face's edge: another side may be nearer. */
 static int64_t walk(const Surface *surface, const double *p, Foot *foot)
 {
     static const int after[3] = {1, 2, 0}, before[3] = {2, 0, 1};
@@ -161,7 +162,8 @@ static int64_t walk(const Surface *surface, const double *p, Foot *foot)
     evaluate(surface->patch + 63 * face, u, v, d);
     for (int x = 0; x < 3; x++) gap += (d[0][x] - p[x]) * (d[0][x] - p[x]);
     foot->face = face, foot->u = u, foot->v = v, foot->gap = sqrt(gap);
-    return held >= 0 && hops < surface->far ? surface->far : hops;
+    int beyond = held >= 0 || 4.0 * gap > larger(dot(d[1], d[1]), dot(d[2], d[2]));
+    return beyond && hops < surface->far ? surface->far : hops;
 }
 
 /* Squared distance of p from a triangle, and the weights of its second and third corner there. */

@@ -160,6 +160,8 @@ class SkinTable:
         row = int(np.argmax(np.abs(length - 1.0)))
         if abs(length[row] - 1.0) > FRAME_TOLERANCE:
             what = f"{name}, taxel line {row + 1}: the frame must be a rotation"
+            if length[row] == 0.0:  # of a matrix, too
+                raise damaged(what, "axes that are not orthonormal and right-handed, or all zero")
             value, limit = f"quaternion of norm {length[row]:.4g}", f"1 within {FRAME_TOLERANCE:g}"
             raise damaged(what, value, limit)
         rotation = Rotation.from_quat(quaternions).as_matrix()

@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 import meshskin as ms
-from meshskin.core.errors import CalibrationError
+from meshskin.core.errors import CalibrationError, ConfigError
 from meshskin.estimation.recalibrate import errors as errors_module
 from meshskin.estimation.recalibrate import evidence, readings
 from meshskin.estimation.recalibrate.hypotheses import (
@@ -65,6 +65,9 @@ def test_a_turned_module_is_found_and_the_others_are_confirmed(setting):
     assert (finding.unit, finding.number, finding.state) == ("module", 4, "turned")
     assert "120 degrees" in finding.words
     assert all(words in found._repr_html_() for words in ("6 confirmed", "module 4", "120 degrees"))
+    assert any("(0, 1 and 4 more)" in line for line in found.lines(2))
+    with pytest.raises(ConfigError, match="shown is out of range, got -1, limit: at least 0"):
+        found.lines(-1)
     assert finding.false_alarm < 1e-6
     assert (found.unit_states == "confirmed").sum() == 6
     assert np.allclose(found.calibration.positions, now.positions[np.argsort(now.ids)], atol=1e-12)
