@@ -3,8 +3,7 @@
 In the order of `MODELS`, each model covers what the one before it cannot: circular patches,
 elliptic patches, thin layers, any gap. The models in `BATCHED` have closed forms or tables:
 `ContactModel` evaluates them for many contacts at once, also as CasADi expressions. `solve` solves
-one contact and checks that it lies in the range of the model. `multi_contact` finds the contacts of
-a sphere with a body that has hollows.
+one contact and checks that it lies in the range of the model.
 """
 
 from __future__ import annotations

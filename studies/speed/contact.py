@@ -18,11 +18,12 @@ from importlib.util import find_spec
 from time import perf_counter
 from typing import Any
 
+import multi_contact
 import numpy as np
 import results
 
 from meshskin import Body, contact
-from meshskin.contact import boundary_elements, disc, ellipse, elliptic, layered, multi_contact
+from meshskin.contact import boundary_elements, disc, ellipse, elliptic, layered
 
 COUNT = 10_000
 CASE: dict = {"force": 1.0, "indenter_radius": 0.01, "modulus": 1e6, "poisson": 0.45}

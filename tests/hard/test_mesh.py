@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshskin.contact.multi_contact import find_contacts, solve_contacts
 from meshskin.core.errors import MeshError
 from meshskin.geometry import primitives
 from meshskin.geometry.body import Body
@@ -238,31 +237,6 @@ def test_a_v_groove(load):
         expected = np.array([-side, 1.0, 0.0]) / np.sqrt(2.0)
         np.testing.assert_allclose(hit.normal, np.tile(expected, (9, 1)), atol=1e-6)
     assert np.all(body.closest([[0.0, -0.005, 0.0], [0.001, -1e-5, 0.01]]).distance < 0)
-
-
-def test_two_contacts_in_a_v_groove(load):
-    """A ball between the flanks touches both; beside the middle, the nearer one more deeply."""
-    outline = [(-0.05, -0.05), (0.05, -0.05), (0.05, 0.02), (0.02, 0.02), (0.0, 0.0), (-0.02, 0.02),
-               (-0.05, 0.02)]  # fmt: skip
-    body = load(*extrude(outline, 0.1))
-    radius, aside = 5e-3, 1e-4
-    height = (radius - 3e-4) * np.sqrt(2.0)
-    found = find_contacts(body, [aside, height, 0.003], radius)
-    assert len(found) == 2
-    depth = radius - (height + aside * np.array([-1.0, 1.0])) / np.sqrt(2.0)
-    np.testing.assert_allclose(found.depth, depth, atol=1e-9)
-    foot = 0.5 * (height + np.array([aside, -aside]))
-    np.testing.assert_allclose(
-        found.point, np.column_stack([[foot[0], -foot[1]], foot, [0.003] * 2]), atol=1e-9
-    )
-    np.testing.assert_allclose(
-        found.normal * np.sqrt(2.0), [[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0]], atol=1e-6
-    )
-    assert found.smooth.all()
-    np.testing.assert_allclose(found.curvature, 0.0, atol=1e-6)
-    _, force, _ = solve_contacts(body, [aside, height, 0.003], radius, modulus=0.2e6, poisson=0.49)
-    e_star = 0.2e6 / (1 - 0.49**2)
-    np.testing.assert_allclose(force, 4 / 3 * e_star * np.sqrt(radius) * depth**1.5, rtol=1e-6)
 
 
 def test_a_saddle(load):

@@ -160,10 +160,6 @@ class ReferenceSearch:
         best = newton.least_of_rows(row, np.linalg.norm(derivatives[0] - p[row], axis=1))
         return PatchPoints(found[best], uv[best], tuple(d[best] for d in derivatives), flat)
 
-    def descend(self, p: Array, face: Index) -> tuple[Index, Array]:
-        """Faces (n,) and uv (n, 2) of the local minima that descents from `face` (n,) end in."""
-        return newton.descend(self._surface, face, p, newton.point_distance)
-
     def derivatives(self, face: Index, uv: Array) -> tuple[Array, ...]:
         """S, Su, Sv, Suu, Suv, Svv, each (n, 3), of the patches `face` (n,) at uv (n, 2)."""
         return patch.evaluate(self._surface.patches[face], uv[:, 0], uv[:, 1])

@@ -370,13 +370,3 @@ void flat(const Tree *tree, int64_t n, const int64_t *sequence, const double *po
         uv[2 * k] = near.foot.u, uv[2 * k + 1] = near.foot.v;
     }
 }
-
-/* The feet that walks from `face` (n,) end in: local minima of the distance. */
-void descend(const Surface *surface, int64_t n, const double *points, int64_t *face, double *uv)
-{
-    for (int64_t k = 0; k < n; k++) {
-        Foot foot = {face[k], 1.0 / 3.0, 1.0 / 3.0, 0.0};
-        walk(surface, points + 3 * k, &foot);
-        face[k] = foot.face, uv[2 * k] = foot.u, uv[2 * k + 1] = foot.v;
-    }
-}

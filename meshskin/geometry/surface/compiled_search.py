@@ -105,13 +105,6 @@ class CompiledSearch:
         self._library.derivatives(surface, _INT(len(face)), *_addresses(*inputs, out))
         return tuple(out)
 
-    def descend(self, p: Array, face: Index) -> tuple[Index, Array]:
-        """Faces (n,) and uv (n, 2) of the local minima that descents from `face` (n,) end in."""
-        found, uv = np.array(face, dtype=np.int64), np.empty((len(p), 2))
-        surface = ctypes.byref(self._surface)
-        self._library.descend(surface, _INT(len(p)), *_addresses(p, found, uv))
-        return found, uv
-
 
 class CompiledFlat:
     """Closest points of the faces (m, 3) of a mesh of vertices (n, 3), m."""

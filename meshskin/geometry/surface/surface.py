@@ -167,15 +167,6 @@ class Surface:
         found, uv, derivatives, flat = self._search.closest(p, start)
         return self._answer(found, uv, derivatives, p), flat
 
-    def descend(self, points: ArrayLike, face: ArrayLike) -> Closest:
-        """Local minima of the distance to `points` (n, 3), m, by descent from `face` (n,).
-
-        Unlike `closest`, they need not be the global minima; the sign of the distance is that of
-        the normal there. Raises MeshError where a point is not finite or a face does not exist.
-        """
-        p = _finite(points)
-        return self.at(*self._search.descend(p, self._known(face, len(p))), p)
-
     def _known(self, face: ArrayLike, count: int) -> Index:
         """Faces (count,). Raises MeshError for another number, or one that does not exist."""
         known = np.asarray(face)

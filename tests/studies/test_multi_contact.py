@@ -1,13 +1,18 @@
 """Contacts of a sphere with bodies that have hollows: positions, number, forces and patches."""
 
+from types import SimpleNamespace
+
+import multi_contact
 import numpy as np
 import pytest
 import trimesh
 from scipy.optimize import minimize_scalar
 
 from meshskin import Body, contact
-from meshskin.contact import boundary_elements, influence, multi_contact
+from meshskin.contact import boundary_elements, influence
 from meshskin.core.errors import ContactError
+
+from ..hard.test_mesh import extrude
 
 SOFT = {"modulus": 0.5e6, "poisson": 0.45}
 
@@ -161,3 +166,31 @@ def test_shallow_minima_on_a_fine_mesh_are_separate():
     least = 1 + np.flatnonzero((np.diff(distance[:-1]) < 0) & (np.diff(distance[1:]) > 0))
     assert len(least) == 2
     assert np.sort(found.point[:, 0]) == pytest.approx(x[least], abs=2e-6)
+
+
+def test_two_contacts_in_a_v_groove():
+    """A ball between the flanks touches both; beside the middle, the nearer one more deeply."""
+    outline = [(-0.05, -0.05), (0.05, -0.05), (0.05, 0.02), (0.02, 0.02), (0.0, 0.0), (-0.02, 0.02),
+               (-0.05, 0.02)]  # fmt: skip
+    vertices, faces = extrude(outline, 0.1)
+    body = Body.from_mesh(SimpleNamespace(vertices=vertices, faces=faces))
+    radius, aside = 5e-3, 1e-4
+    height = (radius - 3e-4) * np.sqrt(2.0)
+    found = multi_contact.find_contacts(body, [aside, height, 0.003], radius)
+    assert len(found) == 2
+    depth = radius - (height + aside * np.array([-1.0, 1.0])) / np.sqrt(2.0)
+    np.testing.assert_allclose(found.depth, depth, atol=1e-9)
+    foot = 0.5 * (height + np.array([aside, -aside]))
+    np.testing.assert_allclose(
+        found.point, np.column_stack([[foot[0], -foot[1]], foot, [0.003] * 2]), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        found.normal * np.sqrt(2.0), [[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0]], atol=1e-6
+    )
+    assert found.smooth.all()
+    np.testing.assert_allclose(found.curvature, 0.0, atol=1e-6)
+    _, force, _ = multi_contact.solve_contacts(
+        body, [aside, height, 0.003], radius, modulus=0.2e6, poisson=0.49
+    )
+    e_star = 0.2e6 / (1 - 0.49**2)
+    np.testing.assert_allclose(force, 4 / 3 * e_star * np.sqrt(radius) * depth**1.5, rtol=1e-6)

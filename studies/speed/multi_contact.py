@@ -15,12 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.arrays import Array, far_apart
-from ..core.errors import ContactError
-from ..geometry.body import Body
-from ..geometry.mesh.triangles import closest_on_triangles
-from . import ContactModel, Patch, solve
-from .problem import effective_modulus
+from meshskin.contact import ContactModel, Patch, solve
+from meshskin.contact.problem import effective_modulus
+from meshskin.core.arrays import Array, far_apart
+from meshskin.core.errors import ContactError
+from meshskin.geometry.body import Body
+from meshskin.geometry.mesh.triangles import closest_on_triangles
+from meshskin.geometry.surface import newton
 
 MERGE_DISTANCE = 1e-2
 """Distance, in indenter radii, up to which two minima are one contact: far below the width of a
@@ -73,7 +74,9 @@ def find_contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Inde
             value=f"{c.tolist()}, {indenter_radius} m",
         )
     starts = _start_faces(body, c, indenter_radius)
-    hit = body.surface.descend(np.broadcast_to(c, (len(starts), 3)), starts)
+    query = np.broadcast_to(c, (len(starts), 3))
+    surface = body.surface
+    hit = surface.at(*newton.descend(surface, starts, query, newton.point_distance), query)
     offset = c - hit.point
     distance = np.linalg.norm(offset, axis=1)
     normal = offset / np.maximum(distance, 1e-300)[:, None]
