@@ -88,7 +88,7 @@ def unchanged(known: SkinMap, unit: int) -> Hypothesis:
     """The hypothesis that a unit is as the map says."""
     rows = known.units[unit]
     points, normals = known.points[rows], known.poses[rows, :3, 2]
-    return Hypothesis(CONFIRMED, points, normals, known.log_gain[rows], known.covariance[rows])
+    return Hypothesis(CONFIRMED, points, normals, known.log_gain[rows, 0], known.covariance[rows])
 
 
 def dead(base: Hypothesis) -> Hypothesis:

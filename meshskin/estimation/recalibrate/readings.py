@@ -14,7 +14,6 @@ from ...core import arrow
 from ...core.errors import CalibrationError
 from ...recording.recording import Recording
 from ...scene.belief import RAW, Belief
-from ...skin.skin import Skin
 from ..calibration import Calibration
 from ..data.gather import gather, gather_or_learn
 from ..data.measurements import Measurements
@@ -36,21 +35,19 @@ CONTACTS_PER_TAXEL = 5
 their errors and say little more."""
 
 
-def read(
-    recording: Recording, belief: Belief, known: SkinMap, previous: Calibration | Skin
-) -> Touches:
+def read(recording: Recording, belief: Belief, known: SkinMap) -> Touches:
     """The readings under the map's E* or learned response, thinned. Raises CalibrationError."""
-    response = getattr(previous, "response", None)
+    response = known.calibration.response
     if belief.readings == RAW:
-        if not isinstance(previous, Calibration) or response is None:
+        if response is None:
             raise CalibrationError(
                 "raw readings need an earlier map whose calibration learned the response",
-                value=type(previous).__name__,
+                value="a map without one",
                 remedy="calibrate again, and compare the maps with `meshskin diff`",
             )
-        if FALLING in previous.factors:
+        if FALLING in known.calibration.factors:
             recording = _turned(recording)
-    mapped = replace(_as_mapped(belief, previous), taxel_ids=known.ids)
+    mapped = replace(_as_mapped(belief, known.calibration), taxel_ids=known.ids)
     data = gather(recording, mapped) if response is None else gather_or_learn(recording, mapped)[0]
     if len(data.pressure) < MIN_READINGS:
         raise CalibrationError(
@@ -60,36 +57,30 @@ def read(
     step = -(-len(data.points) // (CONTACTS_PER_TAXEL * len(known.ids)))
     if step > 1:
         data = _of_contacts(data, np.arange(len(data.points)) % step == 0)
-    return touches_of(data, known, previous)
+    return touches_of(data, known)
 
 
-def touches_of(data: Measurements, known: SkinMap, previous: Calibration | Skin) -> Touches:
+def touches_of(data: Measurements, known: SkinMap) -> Touches:
     """The measurements as the map's contact model, or its learned response, predicts them."""
-    response = getattr(previous, "response", None)
-    if not isinstance(previous, Calibration) or response is None:
+    response = known.calibration.response
+    if response is None:
         return Touches(data, known)
-    order = np.argsort(previous.ids, kind="stable")
-    unknowns = {name: values[order] for name, values in previous.taxel_unknowns.items()}
-    ordered = replace(
-        previous, belief=replace(data.belief, contact=response.contact), ids=known.ids,
-        poses=previous.poses[order], covariances=previous.covariances[order],
-        taxel_unknowns=unknowns,
-    )  # fmt: skip
-    skin = CalibratedSkin.of(ordered, data)
+    belief = replace(data.belief, contact=response.contact)
+    skin = CalibratedSkin.of(replace(known.calibration, belief=belief), data)
     noise = (data.belief.noise_sigma or 0.0) * data.unit or response.noise
     return Touches(replace(skin.data, noise=noise / response.unit), known, skin)
 
 
-def _as_mapped(belief: Belief, previous: Calibration | Skin) -> Belief:
+def _as_mapped(belief: Belief, previous: Calibration) -> Belief:
     """The belief with the E* that the map's readings were read under."""
-    response, modulus = getattr(previous, "response", None), getattr(previous, "modulus", None)
-    if response is not None:
-        if not response.references:
+    modulus = previous.modulus
+    if previous.response is not None:
+        if not previous.response.references:
             raise CalibrationError(
                 "the earlier calibration does not state what its learned response refers to",
                 remedy="calibrate its recording again: it was saved by an earlier version",
             )
-        modulus = response.references[3]
+        modulus = previous.response.references[3]
     if modulus is None:
         return belief
     ratio = modulus / belief.material.effective_modulus

@@ -78,7 +78,7 @@ def recalibrate(
             )
         belief = recorded_belief(previous)
     known = skin_map(previous, belief, sigma)
-    touches = read(recording, belief, known, previous)
+    touches = read(recording, belief, known)
     limit = float(np.log(len(known.units) / false_alarm))
     stage = Stage(progress, "recalibrate", USUAL_PASSES * len(known.units))
     fits = [_settled(touches, limit, wide, stage) for wide in (True, False)]
@@ -87,7 +87,7 @@ def recalibrate(
     findings = _findings(known, found)
     strongest = [e.changes[0].log_evidence if e.changes else e.log_evidence for e in found]
     return Recalibration(
-        calibration=updated(previous, belief, known, found, findings, len(touches.data.points)),
+        calibration=updated(known, belief, found, findings, len(touches.data.points)),
         findings=findings,
         units=known.numbers,
         unit=known.noun,

@@ -16,7 +16,6 @@ from ...core.notebook import Card
 from ...core.progress import Progress
 from ...core.value import Value
 from ...scene.belief import Belief
-from ...skin.skin import Skin
 from ..calibration import Calibration
 from ..chart import align_normals
 from ..result import join_words
@@ -41,7 +40,6 @@ SHOWN = 20
 
 FACTOR = "earlier map, tested by {} touches: {} changes"
 """What the updated map is made of."""
-UNKNOWN = "the earlier map has no place for it"
 
 
 @dataclass(frozen=True)
@@ -204,7 +202,7 @@ class _Changed:
 
 def _changed(known: SkinMap, found: list[Evidence]) -> _Changed:
     n = len(known.ids)
-    gain = np.stack([known.log_gain, np.full(n, np.nan)], axis=1)
+    gain = np.stack([known.log_gain[:, 0], np.full(n, np.nan)], axis=1)
     out = _Changed(
         known.poses.copy(), np.arange(n), np.zeros((n, 3, 3)), gain,
         np.full(n, "", dtype=object), np.zeros(n, dtype=bool),
@@ -232,75 +230,42 @@ def _changed(known: SkinMap, found: list[Evidence]) -> _Changed:
 
 
 def updated(
-    previous: Calibration | Skin,
-    belief: Belief,
-    known: SkinMap,
-    found: list[Evidence],
-    findings: tuple[Finding, ...],
+    known: SkinMap, belief: Belief, found: list[Evidence], findings: tuple[Finding, ...],
     contacts: int,
-) -> Calibration:
+) -> Calibration:  # fmt: skip
     """The calibration with the taxels of changed units at their new places, and faults named."""
-    now = _changed(known, found)
-    n, poses, faults = len(known.ids), now.poses, now.faults
-    lost = ~known.known & ~np.isfinite(poses[:, 0, 3])
-    base = previous if isinstance(previous, Calibration) else None
-    six = _covariances(base, known, now, lost)
-    taxel_unknowns = {} if base is None else dict(base.taxel_unknowns)
-    if np.any(now.gain[:, 0] != known.log_gain) or "gain" in taxel_unknowns:
-        gain = now.gain / (np.ones(n) if base is None else amplification(base))[:, None]
-        before = np.zeros(n) if base is None or "gain" not in taxel_unknowns else (
-            np.asarray(taxel_unknowns["gain"])[np.argsort(base.ids, kind="stable"), 1]
-        )  # fmt: skip
+    now, base = _changed(known, found), known.calibration
+    taxel_unknowns = dict(base.taxel_unknowns)
+    if np.any(now.gain[:, 0] != known.log_gain[:, 0]) or "gain" in taxel_unknowns:
+        gain = now.gain / amplification(base)[:, None]
+        before = taxel_unknowns.get("gain", np.zeros_like(gain))[:, 1]
         gain[:, 1] = np.where(np.isnan(gain[:, 1]), before, gain[:, 1])
         taxel_unknowns["gain"] = gain
-    made = FACTOR.format(contacts, len(findings))
-    if base is None:
-        return Calibration(
-            ids=known.ids, poses=poses, covariances=six,
-            observed=np.isfinite(np.diagonal(six, axis1=1, axis2=2)),
-            touched=now.touched,
-            readings=np.zeros(n, dtype=int), method="recalibrate", anchor="the earlier map",
-            factors=(made,), chi2=np.full(n, np.nan),
-            reasons=np.where(lost, UNKNOWN, "").astype(object), faults=faults,
-            taxel_unknowns=taxel_unknowns, belief=replace(belief, taxel_ids=known.ids),
-        )  # fmt: skip
-    order = np.argsort(base.ids, kind="stable")
-    old = np.full(n, "", dtype=object) if base.faults is None else base.faults[order]
-    named = [join_words(*pair) for pair in zip(old, faults, strict=True)]
-    filled = known.known & ~np.isfinite(base.positions[order, 0])
-    observed = (base.observed[order] | filled[:, None])[now.source]
-    additions = None if base.additions is None else base.additions.copy()
-    if additions is not None:
-        additions[:, 1] = np.argsort(order)[additions[:, 1].astype(int)]
+    old = np.full(len(known.ids), "") if base.faults is None else base.faults
+    filled = known.known & ~np.isfinite(base.positions[:, 0])
     return replace(
         base,
-        ids=known.ids, poses=poses, covariances=six,
-        observed=observed, touched=base.touched[order],
-        readings=base.readings[order], chi2=base.chi2[order],
-        reasons=np.where(filled, "", base.reasons[order]).astype(object),
-        faults=np.array(named, dtype=object),
-        rivals=None if base.rivals is None else base.rivals[order],
-        contact_centroids=None, iterates=None, additions=additions,
-        factors=(*base.factors, made),
-        taxel_unknowns={k: v if k == "gain" else v[order] for k, v in taxel_unknowns.items()},
+        poses=now.poses,
+        covariances=_covariances(known, now),
+        observed=(base.observed | filled[:, None])[now.source],
+        touched=base.touched | (now.touched & ~base.readings.any()),
+        reasons=np.where(filled, "", base.reasons).astype(object),
+        faults=np.array([join_words(*pair) for pair in zip(old, now.faults, strict=True)], object),
+        contact_centroids=None,
+        iterates=None,
+        factors=(*base.factors, FACTOR.format(contacts, len(findings))),
+        taxel_unknowns=taxel_unknowns,
         belief=replace(base.belief or belief, taxel_ids=known.ids),
-    )  # fmt: skip
+    )
 
 
-def _covariances(
-    base: Calibration | None, known: SkinMap, now: _Changed, lost: np.ndarray
-) -> Array:
+def _covariances(known: SkinMap, now: _Changed) -> Array:
     """(n, 6, 6) in the taxels' frames: those of the taxels at whose places they are, and of what
     moves add."""
-    out = np.zeros((len(known.ids), 6, 6))
-    if base is not None:
-        out[:] = base.covariances[np.argsort(base.ids, kind="stable")]
-    else:
-        out[:, 3, 3] = out[:, 4, 4] = (np.pi / 180) ** 2
-        out[:, 5, 5] = np.inf
+    out = np.array(known.calibration.covariances)
     before, after = known.poses[:, :3, :3], now.poses[:, :3, :3]
     out[:, :3, :3] = np.swapaxes(before, 1, 2) @ known.covariance @ before
     out = out[now.source]
     out[:, :3, :3] += np.swapaxes(after, 1, 2) @ now.shift_covariance @ after
-    out[lost] = np.diag([np.inf] * 6)
+    out[~known.known & ~np.isfinite(now.poses[:, 0, 3])] = np.diag([np.inf] * 6)
     return out

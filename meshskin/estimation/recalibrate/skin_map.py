@@ -3,7 +3,7 @@ and the turns by which a rigid module looks the same."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,14 @@ SIGMA = 0.3e-3
 how well a module is glued by hand onto its marks."""
 MAX_TURNS = 6
 """Highest order of rotational symmetry that a layout is tested for: hexagons."""
+TILT = np.pi / 180
+"""Standard deviation, rad, of a taxel's tilt in such a map."""
+PER_TAXEL = (
+    "ids", "poses", "covariances", "observed", "touched", "readings", "chi2", "reasons", "faults",
+    "rivals",
+)  # fmt: skip
+"""Fields of `Calibration` with a row a taxel, which an updated map keeps; None where it has none.
+"""
 SAME_SLOT = 1e-3
 """Largest distance, m, of a turned slot from the one at its place: a fraction of any spacing."""
 
@@ -31,26 +39,28 @@ SAME_SLOT = 1e-3
 class SkinMap(Value):
     """n taxels of an earlier map, in units that change as one: rigid modules, or single taxels."""
 
-    ids: np.ndarray
-    """Taxel ids (n,), ascending."""
+    calibration: Calibration
+    """The earlier map, with rising ids."""
     poses: Array
-    """T_body_taxel (n, 4, 4); NaN where the map has no place."""
+    """T_body_taxel (n, 4, 4), in modules those of missing taxels too; NaN where there is no place.
+    """
     covariance: Array
     """Covariance (n, 3, 3) of the positions, body frame, m^2."""
     log_gain: Array
-    """ln (n,) of the factor of each taxel's level; 0 where the map has none."""
-    log_gain_sigma: Array
-    """Its standard deviation (n,)."""
+    """ln of the factor of each taxel's level, and its standard deviation (n, 2)."""
     offset: Array
-    """Offset (n,) of each taxel's readings, in their unit; 0 where the map has none."""
-    offset_sigma: Array
-    """Its standard deviation (n,)."""
+    """Offset of each taxel's readings in their unit, and its standard deviation (n, 2)."""
     units: tuple[np.ndarray, ...]
     """Rows of the taxels of each unit, those without a place left out."""
     numbers: np.ndarray
     """Number (u,) of each unit: of the module, or the id of the taxel."""
     slots: Array | None
     """Places (s, 3) of a module's taxels in its frame, m; None: units are single taxels."""
+
+    @property
+    def ids(self) -> np.ndarray:
+        """Taxel ids (n,), rising."""
+        return self.calibration.ids
 
     @property
     def noun(self) -> str:
@@ -79,30 +89,17 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
     taxel of a module without a place gets that of its slot. Raises CalibrationError for another
     type and for a map of less than one taxel.
     """
-    if not isinstance(previous, Calibration | Skin):
-        raise CalibrationError(
-            "the earlier map must be a Calibration or a Skin", value=type(previous).__name__
-        )
     check_real("sigma of the earlier map", sigma, "m", above=0.0, error=CalibrationError)
-    order = np.argsort(previous.ids, kind="stable")
-    ids, poses = np.asarray(previous.ids)[order], np.array(previous.poses, dtype=float)[order]
-    log_gain, offset = np.zeros((len(ids), 2)), np.zeros((len(ids), 2))
-    spread = np.full(len(ids), sigma)
-    if isinstance(previous, Skin) and previous.sigmas is not None:
-        own = np.asarray(previous.sigmas)[order] / np.sqrt(2.0)  # of two tangents together
-        spread = np.where(np.isfinite(own), own, sigma)
-    covariance = np.eye(3) * spread[:, None, None] ** 2
-    if isinstance(previous, Calibration):
-        own = np.nan_to_num(previous.covariances[order, :3, :3], posinf=sigma**2)
-        covariance = poses[:, :3, :3] @ own @ np.swapaxes(poses[:, :3, :3], 1, 2)
-        factor = amplification(previous)[:, None]
-        log_gain, offset = (
-            np.nan_to_num(previous.taxel_unknowns[name][order], posinf=0.0)
-            if name in previous.taxel_unknowns else none
-            for name, none in (("gain", log_gain), ("offset", offset))
-        )  # fmt: skip
-        log_gain = factor * log_gain
-    nuisance = log_gain[:, 0], log_gain[:, 1], offset[:, 0], offset[:, 1]
+    base = _by_rising_ids(_of_skin(previous, sigma) if isinstance(previous, Skin) else previous)
+    ids, poses = base.ids, np.array(base.poses, dtype=float)
+    own = np.nan_to_num(base.covariances[:, :3, :3], posinf=sigma**2)
+    covariance = poses[:, :3, :3] @ own @ np.swapaxes(poses[:, :3, :3], 1, 2)
+    none = np.zeros((len(ids), 2))
+    log_gain, offset = (
+        np.nan_to_num(base.taxel_unknowns.get(name, none), posinf=0.0)
+        for name in ("gain", "offset")
+    )
+    log_gain = amplification(base)[:, None] * log_gain
     known = np.isfinite(poses[:, 0, 3])
     if not known.any():
         raise CalibrationError("the earlier map has no taxel with a place")
@@ -111,7 +108,8 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
         layout = slots.OFFSETS
     if layout is None:
         rows = np.flatnonzero(known)
-        return SkinMap(ids, poses, covariance, *nuisance, tuple(rows[:, None]), ids[rows], None)
+        units, numbers = tuple(rows[:, None]), ids[rows]
+        return SkinMap(base, poses, covariance, log_gain, offset, units, numbers, None)
     numbers, group = np.unique(ids // len(layout), return_inverse=True)
     for k in range(len(numbers)):
         rows = np.flatnonzero(group == k)
@@ -119,21 +117,53 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
     placed = np.isfinite(poses[:, 0, 3])
     units = tuple(np.flatnonzero(placed & (group == k)) for k in range(len(numbers)))
     full = [k for k, rows in enumerate(units) if len(rows)]
-    return SkinMap(
-        ids, poses, covariance, *nuisance, tuple(units[k] for k in full), numbers[full],
-        np.asarray(layout),
+    units, numbers = tuple(units[k] for k in full), numbers[full]
+    return SkinMap(base, poses, covariance, log_gain, offset, units, numbers, np.asarray(layout))
+
+
+def _of_skin(skin: Skin, sigma: float) -> Calibration:
+    """A skin as a calibration without readings; `sigma`, m, where it states none."""
+    n, six = len(skin.ids), np.zeros((len(skin.ids), 6, 6))
+    spread = np.full(n, np.nan) if skin.sigmas is None else skin.sigmas / np.sqrt(2.0)
+    spread = np.where(np.isfinite(spread), spread, sigma)  # skins state two tangents together
+    six[:, :3, :3] = np.eye(3) * spread[:, None, None] ** 2
+    six[:, 3, 3] = six[:, 4, 4] = TILT**2
+    six[:, 5, 5] = np.inf
+    return Calibration(
+        ids=skin.ids, poses=skin.poses, covariances=six,
+        observed=np.isfinite(np.diagonal(six, axis1=1, axis2=2)), touched=np.zeros(n, dtype=bool),
+        readings=np.zeros(n, dtype=int), method="recalibrate", anchor="the earlier map",
+        factors=(), chi2=np.full(n, np.nan), reasons=np.full(n, "", dtype=object),
     )  # fmt: skip
 
 
+def _by_rising_ids(found: Calibration) -> Calibration:
+    """The calibration with its taxels in the order of their ids. Raises CalibrationError."""
+    if not isinstance(found, Calibration):
+        raise CalibrationError(
+            "the earlier map must be a Calibration or a Skin", value=type(found).__name__
+        )
+    order, additions = np.argsort(found.ids, kind="stable"), found.additions
+    if additions is not None:
+        additions = additions.copy()
+        additions[:, 1] = np.argsort(order)[additions[:, 1].astype(int)]
+    columns = {name: getattr(found, name) for name in PER_TAXEL}
+    return replace(
+        found,
+        **{name: values[order] for name, values in columns.items() if values is not None},
+        taxel_unknowns={name: values[order] for name, values in found.taxel_unknowns.items()},
+        additions=additions,
+    )
+
+
 def amplification(previous: Calibration) -> Array:
-    """What ln gain (n,) is multiplied by in the level of a reading, for the rising ids: a gain is
-    that of readings of the typical level, which compression makes smaller (joint/likelihood.py)."""
-    ids = np.sort(previous.ids)
-    factor = np.ones(len(ids))
+    """What ln gain (n,) is multiplied by in the level of a reading: a gain is that of readings of
+    the typical level, which compression makes smaller (joint/likelihood.py)."""
+    factor = np.ones(len(previous.ids))
     for group, response in enumerate(() if previous.response is None else previous.response.each):
         name = "compression" + (IN_GROUP.format(group + 1) if group else "")
         compression = previous.unknowns.get(name, (0.0, 0.0))[0]
-        own = np.isin(ids, response.taxels) | (group == 0)
+        own = np.isin(previous.ids, response.taxels) | (group == 0)
         factor[own] = 1 + response.levels[0] * compression
     return factor
 

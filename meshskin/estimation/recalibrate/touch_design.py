@@ -105,7 +105,7 @@ def next_touches(
             limit=f"{known.noun}s {known.numbers.min()} to {known.numbers.max()}",
             remedy="give numbers of modules, or ids of single taxels; without units all are tested",
         )  # fmt: skip
-    touches = touches_of(_candidates(known, belief, tested), known, previous)
+    touches = touches_of(_candidates(known, belief, tested), known)
     stage = Stage(progress, "next touches", len(tested))
     touch, pair, factor, owner = _factors(touches, known, tested, stage)
     if not len(touch):

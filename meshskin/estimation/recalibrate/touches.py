@@ -208,10 +208,10 @@ class Touches:
         scale, known = self.unit * self.data.unit, self.known
         columns = (
             *self._read(gain, group, *predicted),
-            known.log_gain_sigma[rows][taxel],
-            known.offset_sigma[rows][taxel] / scale,
+            known.log_gain[rows, 1][taxel],
+            known.offset[rows, 1][taxel] / scale,
         )
-        columns[0][:] += known.offset[rows][taxel] / scale
+        columns[0][:] += known.offset[rows, 0][taxel] / scale
         level = self.level[contact, rows[taxel]]
         ends = np.searchsorted(which, np.arange(len(hypotheses) + 1))
         return [

@@ -108,7 +108,7 @@ def test_an_updated_map_has_the_order_of_its_belief(mapped):
     known = skin_map(shifted, belief)
     one = np.ones(1, dtype=bool)
     found = [Evidence(0.0, unchanged(known, u), (), -np.inf, one, one, True) for u in range(12)]
-    now = updated(shifted, belief, known, found, (), 36)
+    now = updated(known, belief, found, (), 36)
     np.testing.assert_array_equal(now.ids, now.belief.taxel_ids)
     np.testing.assert_array_equal(now.positions, map_.positions)
     np.testing.assert_array_equal(now.additions, [[5.0, 10.0, 0.1]])
@@ -119,7 +119,7 @@ def test_raw_readings_are_predicted_by_the_learned_response(world, mapped):
     scene, _, few = world
     map_, belief, falling = mapped
     known, recording = skin_map(map_, belief), counts(scene, few, 4, falling)
-    touches = read(recording, belief, known, map_)
+    touches = read(recording, belief, known)
     off = []
     for unit in range(len(known.units)):
         (block,) = touches.blocks(unit, [unchanged(known, unit)], Errors(0.01, 1e-5, 1e-3))
@@ -135,7 +135,7 @@ def test_maps_without_a_response_refuse_raw_readings(world, mapped):
     scene, _, few = world
     map_, belief, falling = mapped
     recording = counts(scene, few, 2, falling)
-    with pytest.raises(CalibrationError, match="whose calibration learned the response, got Skin"):
+    with pytest.raises(CalibrationError, match="whose calibration learned the response"):
         ms.recalibrate(scene.skin, recording, belief)
     older = replace(map_, response=replace(map_.response, references=()))
     with pytest.raises(CalibrationError, match="saved by an earlier version"):
@@ -161,5 +161,5 @@ def test_the_chance_of_an_evidence_is_that_of_a_normal_variable(part):
 def test_touches_of_a_skin_have_the_contact_model(world):
     scene, _, few = world
     known = skin_map(scene.skin, scene.belief())
-    data = read(ms.press(scene, few), scene.belief(), known, scene.skin).data
-    assert touches_of(data, known, scene.skin).skin is None
+    data = read(ms.press(scene, few), scene.belief(), known).data
+    assert touches_of(data, known).skin is None

@@ -226,7 +226,7 @@ def test_an_exchanged_taxel_has_the_uncertainty_of_the_place(sphere):
         unchanged(known, unit), state=EXCHANGED, value=float(map_.ids[sound]),
         points=known.points[[sound]], normals=known.poses[[sound], :3, 2],
     )  # fmt: skip
-    now = updated(map_, belief, known, judged(known, unit, state), (), 9)
+    now = updated(known, belief, judged(known, unit, state), (), 9)
     np.testing.assert_allclose(now.covariances[weak], map_.covariances[sound], atol=1e-15)
     np.testing.assert_array_equal(now.observed[weak], map_.observed[sound])
 
@@ -236,7 +236,7 @@ def test_a_changed_gain_has_its_standard_deviation(sphere):
     known = skin_map(sphere.skin, belief)
     state = replace(unchanged(known, 3), state=GAIN)
     found = judged(known, 3, state, log_gain=0.5, log_gain_sigma=0.02)
-    gain = updated(sphere.skin, belief, known, found, (), 9).taxel_unknowns["gain"]
+    gain = updated(known, belief, found, (), 9).taxel_unknowns["gain"]
     np.testing.assert_allclose(gain[3], [0.5, 0.02])
     assert not gain[:3].any()
 
