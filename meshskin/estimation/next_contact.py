@@ -38,6 +38,10 @@ if TYPE_CHECKING:
 
 MAX_TARGETS = 200
 """Taxels, the most uncertain ones, about which candidates are placed: bounds the work."""
+FEW_TARGETS = 4
+"""The same for the next touch of an online calibration: 57 candidates about each."""
+NEIGHBOURS = 3.0
+"""Distance, in reaches of a contact, up to which taxels beside these profit from a touch."""
 RINGS = (0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.3)
 """Radii of the candidates about a taxel, in contact radii: a reading informs most where the
 profile is steep, near the edge of the patch."""
@@ -74,6 +78,20 @@ class NextContacts(Value, Tabular):
         return pa.table(numbers | {"taxel": self.taxel, "worst": self.worst})
 
 
+@dataclass(frozen=True, eq=False)
+class NextTouch(Value):
+    """The most useful next contact."""
+
+    point: Array
+    """(3,) on the body's surface, body frame, m."""
+    normal: Array
+    """Outward normal (3,)."""
+    taxel: int
+    """Id of the taxel that gains most."""
+    sigma: float
+    """Expected standard deviation, m, of that taxel's position afterwards."""
+
+
 def next_contacts(
     calibration: Calibration, belief: Belief, k: int = 1, progress: Progress | None = None
 ) -> NextContacts:
@@ -106,14 +124,8 @@ def next_contacts(
     stage.step()
     chosen, served, worst = [], [], []
     for _ in range(k):
-        along = np.einsum("pij,pj->pi", covariance[taxel], slope)
-        gain = np.einsum("pi,pi->p", along, along) / (1 + np.einsum("pi,pi->p", slope, along))
-        before = np.trace(covariance, axis1=1, axis2=2)
-        scale = before.max()
-        change = ((before[taxel] - gain) / scale) ** POWER - (before[taxel] / scale) ** POWER
-        best = int(np.argmin(np.bincount(contact, change, len(hit.point))))
-        mine = np.flatnonzero(contact == best)
-        served.append(taxel[mine[np.argmin(change[mine])]])
+        best, mine, most, _ = _best_contact(covariance, contact, taxel, slope, len(hit.point))
+        served.append(taxel[most])
         for p in mine:
             g = covariance[taxel[p]] @ slope[p]
             covariance[taxel[p]] -= np.outer(g, g) / (1 + slope[p] @ g)
@@ -124,6 +136,49 @@ def next_contacts(
     return NextContacts(
         hit.point[chosen], hit.normal[chosen], ids[served], np.array(worst), unreached
     )
+
+
+def next_touch(
+    ids: np.ndarray, points: Array, covariance: Array, belief: Belief, modulus: float, radius: float
+) -> NextTouch | None:
+    """The best touch for n taxels at points (n, 3), m, with covariances (n, 3, 3), m^2, in space.
+
+    As `next_contacts`, about few taxels only. None where the contact model holds nowhere about the
+    most uncertain taxels. modulus: E*, Pa; radius: of a contact, m.
+    """
+    variance = np.trace(covariance, axis1=1, axis2=2)
+    worst = np.argsort(-variance, kind="stable")[:FEW_TARGETS]
+    limit = NEIGHBOURS * (radius + belief.disc_radius)
+    gap = np.linalg.norm(points[:, None] - points[worst], axis=2).min(axis=1)
+    near = np.flatnonzero(gap < limit)
+    charts = chart.charts_at(belief.body, points[near])
+    flat = np.swapaxes(charts.tangents, 1, 2) @ covariance[near] @ charts.tangents
+    candidates = candidates_about(charts, np.trace(flat, axis1=1, axis2=2), radius, FEW_TARGETS)
+    hit = valid_contacts(candidates, belief, modulus)
+    if not len(hit.point):
+        return None
+    contact, taxel, slope = expected_slopes(charts, hit, belief, modulus)
+    if not len(contact):
+        return None
+    best, _, most, gain = _best_contact(flat, contact, taxel, slope, len(hit.point))
+    sigma = float(np.sqrt(np.trace(flat[taxel[most]]) - gain[most]))
+    return NextTouch(hit.point[best], hit.normal[best], int(ids[near[taxel[most]]]), sigma)
+
+
+def _best_contact(
+    covariance: Array, contact: np.ndarray, taxel: np.ndarray, slope: Array, count: int
+) -> tuple[int, np.ndarray, int, Array]:
+    """The contact, of `count`, that reduces the objective most by its pairs with taxels (p,); rows
+    of its pairs, and the one of these that gains most; and by how much each pair (p,) reduces its
+    taxel's variance, m^2. covariance (n, 2, 2), m^2, of the taxels; slope (p, 2), 1/m."""
+    along = np.einsum("pij,pj->pi", covariance[taxel], slope)
+    gain = np.einsum("pi,pi->p", along, along) / (1 + np.einsum("pi,pi->p", slope, along))
+    before = np.trace(covariance, axis1=1, axis2=2)
+    scale = before.max()
+    change = ((before[taxel] - gain) / scale) ** POWER - (before[taxel] / scale) ** POWER
+    best = int(np.argmin(np.bincount(contact, change, count)))
+    mine = np.flatnonzero(contact == best)
+    return best, mine, int(mine[np.argmin(change[mine])]), gain
 
 
 def _resolved(calibration: Calibration, belief: Belief) -> Belief:

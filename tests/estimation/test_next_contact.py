@@ -9,8 +9,7 @@ import meshskin as ms
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
-from meshskin.estimation.next_contact import valid_contacts
-from meshskin.estimation.online.next_touch import next_touch
+from meshskin.estimation.next_contact import next_touch, valid_contacts
 from meshskin.simulation.contact_samplers import concatenate
 
 

@@ -4,7 +4,6 @@ measurements of new contacts."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -181,21 +180,12 @@ def without_contacts(belief: Belief, frames: ContactFrames) -> Measurements:
     )
 
 
-class Validity(NamedTuple):
-    """Which of B frames are contacts that count."""
-
-    valid: np.ndarray
-    """(B,) bool."""
-    outside: np.ndarray
-    """(B,) bool: on the body, but outside the range of the contact model."""
-
-
 def contacts_of(
     template: Measurements, frames: ContactFrames, pressed: np.ndarray, first: int
-) -> tuple[Measurements, Validity]:
+) -> tuple[Measurements, np.ndarray, np.ndarray]:
     """The contacts of the frames `pressed` (B,) bool that are on the body and in the range of the
-    contact model, and which of the frames these are; `template`: all else; first: number of the
-    first frame."""
+    contact model, which of the frames these are, and which are on the body but outside that range;
+    `template`: all else; first: number of the first frame."""
     belief, model = template.belief, template.model
     hit = belief.body.closest(np.where(pressed[:, None], frames.points, 0.0))
     on_body = pressed & (np.abs(hit.distance) < unit_checks.MAX_DISTANCE)
@@ -209,7 +199,7 @@ def contacts_of(
         )
     hit, kept = hit.take(valid), frames.take(valid)
     headings = None if template.headings is None else _headings(kept)
-    return replace(
+    found = replace(
         template,
         points=kept.points,
         normals=hit.normal,
@@ -222,7 +212,8 @@ def contacts_of(
         patches=nominal_patches(model, belief, kept.force, hit.curvature),
         headings=headings,
         contact_errors=None if template.contact_errors is None else _errors(kept),
-    ), Validity(valid, on_body & ~valid)
+    )
+    return found, valid, on_body & ~valid
 
 
 def _errors(frames: ContactFrames) -> Array:

@@ -75,7 +75,7 @@ class Intake:
         readings: tuple[np.ndarray, np.ndarray, Array],
     ) -> None:  # fmt: skip
         frame, taxel, pressure = readings
-        block, (valid, outside) = contacts_of(estimate.store.template, frames, usable, number)
+        block, valid, outside = contacts_of(estimate.store.template, frames, usable, number)
         self._left_out[OFF] += int(np.sum(usable & ~valid & ~outside))
         for k in np.flatnonzero(outside).tolist():
             mine = frame == k

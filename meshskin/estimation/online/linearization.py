@@ -1,33 +1,38 @@
-"""Readings of a few taxels under the joint estimator's model: linearized at an estimate, or
-estimated anew from all their readings, with the global parameters as they are.
+"""Readings of a few taxels under the joint estimator's model, with the global parameters as they
+are: linearized at an estimate, estimated anew from all readings, or searched for other positions.
 """
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...core.arrays import Array
 from .. import chart
-from ..chart import Charts
+from ..chart import Charts, tangential_square
 from ..data.measurements import Measurements
 from ..joint import fault_detection as faults
 from ..joint.contacts import LinearizedContacts
 from ..joint.joint_estimator import JointEstimator
 from ..joint.likelihood import Likelihood
+from ..joint.likelihood_widths import widened_along_axis
 from ..joint.noise import clear_of_limits, predictions
 from ..joint.outlier_rejection import irls
 from ..joint.parametrization import SurfaceParametrization
 from ..joint.pressure import OBSERVED, costs
 from ..joint.readings import select
 from ..joint.reduced_nlp import MAX_ITERATIONS
+from ..joint.rival_optima import MAX_LOG_ODDS, likeliest_rivals
 from ..joint.variable_projection import SchurComplement
 from ..trilateration import trilaterate
 
 STEPS = 3
 """Gauss-Newton steps of a bounded estimate, before its charts are linearized again: from where a
 taxel was, two are usual; one that needs more goes on in the next frame."""
+RIVAL_STEPS = 2
+"""Those of one part of the search for other positions: 2 ms a taxel (studies/speed/online.py)."""
 NEWTON_TOLERANCE = 1e-6
 """Newton decrement at which a taxel is at its optimum: within 1.4e-3 standard deviations."""
 MAX_DECREMENT = 1e-3
@@ -230,4 +235,51 @@ def summary(estimator: JointEstimator, misfits: np.ndarray) -> LocalEstimate:
         outlying=outlying,
         fits=fits,
         converged=converged,
+    )
+
+
+@dataclass(frozen=True)
+class Basins:
+    """What other positions the readings of t taxels allow."""
+
+    better: Array
+    """Positions (t, 3), m, that fit better than the estimate; NaN where there is none."""
+    spread: Array
+    """What the tangential covariance (t, 2, 2), m^2, lacks: the distance of a position that fits
+    nearly as well, and the width of a likelihood that is wider than its curvature says."""
+    unique: np.ndarray
+    """Whether (t,) no other position fits nearly as well."""
+
+
+def examine(
+    data: Measurements,
+    weight: Array,
+    charts: Charts,
+    nuisance: Array,
+    s: Array,
+    covariance: Array,
+) -> Generator[None, None, Basins]:
+    """Look for other positions of t taxels at converged estimates, the origins of `charts`, as the
+    batch estimate does (joint/rival_optima.py, joint/likelihood_widths.py).
+
+    The work is done in parts, between which the generator yields; it returns what was found. data:
+    of these taxels; weight (k,): of the readings; nuisance (t, q), s (ks,): the estimates;
+    covariance (t, 2, 2), m^2: along the charts' tangents.
+    """
+    rows = np.arange(len(charts.points))
+    step = float(np.median(data.radii)) / 2
+    estimator = JointEstimator(
+        data, rows, SurfaceParametrization(charts, step), weight,
+        MAX_ITERATIONS, shared=s, nuisance=nuisance,
+    )  # fmt: skip
+    yield
+    places, odds = yield from likeliest_rivals(estimator, rows, charts.points, RIVAL_STEPS)
+    yield
+    wide = yield from widened_along_axis(estimator, rows, covariance, 1.0)
+    rival = odds < MAX_LOG_ODDS
+    apart = np.where(rival[:, None], places - charts.points, 0.0)
+    return Basins(
+        better=np.where((odds < 0)[:, None], places, np.nan),
+        spread=wide - covariance + tangential_square(charts.tangents, apart),
+        unique=~rival,
     )

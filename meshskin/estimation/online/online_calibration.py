@@ -16,19 +16,13 @@ from ...scene.belief import Belief
 from .. import chart
 from ..calibration import Calibration
 from ..joint.null_space import undetermined
+from ..next_contact import NextTouch, next_touch
 from ..recalibrate.result import Recalibration
 from ..uncertainty.observability import pose_covariance
-from .frames import (
-    ContactFrames,
-    RecordedFrames,
-    checked_belief,
-    sparse,
-)
+from .frames import ContactFrames, RecordedFrames, checked_belief, sparse
 from .intake import SETTLED_CHANGE, Intake
-from .next_touch import NextTouch, next_touch
 from .running_estimate import RunningEstimate
-from .running_noise import RunningNoise
-from .settling import settle
+from .settling import RunningNoise, settle
 from .status import Judge, OnlineStatus
 
 PERIOD = 0.02

@@ -21,9 +21,15 @@ from ..data.pairs import MAX_SLANT, REACH_MARGIN
 from ..joint.contacts import LinearizedContacts
 from ..joint.joint_estimator import JointEstimator
 from ..joint.rival_optima import OPEN_SECTOR, finish, open_sectors
-from . import basins
 from .information import TaxelInformation
-from .linearization import advance, contradictions, local_estimator, new_readings, summary
+from .linearization import (
+    advance,
+    contradictions,
+    examine,
+    local_estimator,
+    new_readings,
+    summary,
+)
 from .store import ContactStore, Part
 
 TOLERANCE = 0.001
@@ -292,7 +298,7 @@ class RunningEstimate:
         covariance = info.covariance[rows, :2, :2]
         yield
         weight = self.store.weight.values[part.rows]
-        found = yield from basins.examine(
+        found = yield from examine(
             part.data, weight, info.charts[rows], info.nuisance[rows], self.s, covariance
         )
         self.unique[rows], self.spread[rows] = found.unique, found.spread

@@ -13,8 +13,8 @@ from ...core.value import Value
 from ..calibration import Calibration
 from ..data.delay import late_frames
 from ..data.resolve_belief import MAX_INVALID
+from ..next_contact import NextTouch
 from ..uncertainty.judge import MAX_FAULTY
-from .next_touch import NextTouch
 from .running_estimate import RunningEstimate
 
 KEEP_GOING, DONE = "keep going", "done"

@@ -103,7 +103,7 @@ class ContactStore:
 
     @property
     def noise_is_nominal(self) -> bool:
-        """Whether the noise is neither known nor estimated yet (running_noise.py)."""
+        """Whether the noise is neither known nor estimated yet (settling.py)."""
         return self.template.belief.noise_sigma is None and not self.template.noise_pairs
 
     @property

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pytest
 
 import meshskin as ms
-from meshskin.estimation.online.next_touch import NextTouch
+from meshskin.estimation.next_contact import NextTouch
 from meshskin.estimation.online.status import KEEP_GOING, OnlineStatus
 from meshskin.report.live.replay import Snapshot
 from meshskin.report.live.stage import Stage
