@@ -91,6 +91,16 @@ def means_by_group(
         return sums_by_group(weight.reshape(axes) * values, group, groups) / total
 
 
+def spreads_by_group(
+    points: Array, group: NDArray[np.integer], weight: Array | None = None
+) -> Array:
+    """Mean square distances (t,) of the points (k, 3) of each group (k,) that has weight from their
+    mean, with `weight` (k,), by default equal."""
+    off = points - means_by_group(points, group, weight=weight)[group]
+    square = means_by_group(np.sum(off**2, axis=1), group, weight=weight)
+    return square[np.isfinite(square)]
+
+
 def rows_by_key(keys: NDArray[Any]) -> list[Index]:
     """Rows of equal `keys` (n,), in the order of the keys; one empty group for no keys."""
     order = np.argsort(keys, kind="stable")

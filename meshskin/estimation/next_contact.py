@@ -28,7 +28,7 @@ from . import chart
 from .data.measurements import NOMINAL_NOISE
 from .data.pairs import MAX_SLANT
 from .data.patch_shape import over_edges
-from .data.resolve_belief import contact_model, with_valid_model
+from .data.resolve_belief import contact_model, in_range, nominal_patches, with_valid_model
 from .joint.contact_state import Contacts
 from .joint.pressure import disc_means
 from .uncertainty.observability import censored_information
@@ -249,14 +249,8 @@ def candidates_around(charts: chart.Charts, radius: float, rings: Sequence[float
 
 def valid_contacts(points: Array, belief: Belief, modulus: float) -> Closest:
     """The points of the body nearest to `points` (m, 3), m, where its contact model holds."""
-    hit = belief.body.closest(points)
-    valid = contact_model(belief).is_valid(
-        force=belief.force_reference or 0.0,
-        curvature=hit.curvature,
-        indenter_radius=belief.indenter.radius,
-        effective_modulus=modulus,
-    )
-    return hit.take(valid)
+    hit, force = belief.body.closest(points), np.asarray(belief.force_reference or 0.0)
+    return hit.take(in_range(contact_model(belief), belief, force, hit.curvature, modulus))
 
 
 def expected_slopes(
@@ -290,9 +284,5 @@ def expected_slopes(
 
 def reference_patches(belief: Belief, curvature: Array, modulus: float) -> Patches:
     """Patches under the reference force at curvatures (m, 2), 1/m, and E*, Pa."""
-    return contact_model(belief).patches(
-        force=np.full(len(curvature), belief.force_reference),
-        curvature=curvature,
-        indenter_radius=belief.indenter.radius,
-        effective_modulus=modulus,
-    )
+    force = np.full(len(curvature), belief.force_reference)
+    return nominal_patches(contact_model(belief), belief, force, curvature, modulus)

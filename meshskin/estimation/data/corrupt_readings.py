@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...core.arrays import Array, means_by_group
+from ...core.arrays import Array, spreads_by_group
 from ...recording.recording import Recording
 
 MIN_READINGS = 3
@@ -81,18 +81,12 @@ def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array, reach: flo
     owner, value, at = taxel[order], pressure[order], points[order]
     begins = np.diff(owner, prepend=-1) != 0
     run = np.cumsum(begins | (np.diff(value, prepend=np.nan) != 0)) - 1
-    typical = float(np.median(_spreads(at, np.cumsum(begins) - 1)[0])) if len(owner) else 0.0
-    spread, count = _spreads(at, run)
-    stuck = (count >= MIN_STUCK) & (spread > STUCK_SPREAD * max(typical, reach))
+    by_taxel, by_run = (np.sqrt(spreads_by_group(at, g)) for g in (np.cumsum(begins) - 1, run))
+    typical, count = float(np.median(by_taxel)) if len(owner) else 0.0, np.bincount(run)
+    stuck = (count >= MIN_STUCK) & (by_run > STUCK_SPREAD * max(typical, reach))
     found = np.zeros(len(taxel), dtype=bool)
     found[order] = stuck[run] & (count[run] < np.bincount(owner)[owner])
     return found
-
-
-def _spreads(points: Array, group: np.ndarray) -> tuple[Array, np.ndarray]:
-    """Rms distance of the points (k, 3) of each group (k,) from their mean, and their number."""
-    off = points - means_by_group(points, group)[group]
-    return np.sqrt(means_by_group(np.sum(off**2, axis=1), group)), np.bincount(group)
 
 
 def repeated_frames(recording: Recording) -> np.ndarray:

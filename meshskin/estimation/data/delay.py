@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import bdtrc
 
-from ...core.arrays import Array, means_by_group, sums_by_group
+from ...core.arrays import Array, spreads_by_group, sums_by_group
 from .measurements import Measurements
 
 LATE_FRAMES = 5
@@ -71,8 +71,9 @@ def late_frames(data: Measurements) -> int:
         if np.mean(used) < MIN_USED:
             return np.inf, 1.0
         felt = np.maximum(level - kept * before, 0.0)
-        moved = spreads(data.points[row[used]], felt[used] ** 2, data.taxel[used])
-        present = spreads(data.points[data.contact[used]], level[used] ** 2, data.taxel[used])
+        moved = spreads_by_group(data.points[row[used]], data.taxel[used], felt[used] ** 2)
+        at = data.points[data.contact[used]]
+        present = spreads_by_group(at, data.taxel[used], level[used] ** 2)
         return comparison(moved, present)
 
     found = {k: compare(k)[0] for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
@@ -96,11 +97,11 @@ def _dragged(data: Measurements, level: Array, frames: int) -> float:
     path = np.linalg.norm(np.diff(data.points, axis=0), axis=1)
     there = _in_time(data, np.arange(len(path)), np.arange(1, len(path) + 1))
     lags = (frames + np.array(PARTS)) * float(np.median(path[there]))
-    present = spreads(data.points[data.contact], level**2, data.taxel)
+    present = spreads_by_group(data.points[data.contact], data.taxel, level**2)
     found = []
     for lag in lags:
         points = data.points - lag * data.headway
-        moved = spreads(points[data.contact], level**2, data.taxel)
+        moved = spreads_by_group(points[data.contact], data.taxel, level**2)
         found.append(comparison(moved, present)[0])
     return min(found)
 
@@ -140,14 +141,6 @@ def _possible_filters(
         if below <= MAX_BELOW * np.sum(np.maximum(over, 0.0) ** 2):
             possible.append(kept)
     return tuple(possible)
-
-
-def spreads(points: Array, weight: Array, taxel: np.ndarray) -> Array:
-    """Weighted mean square distances (t,), m^2, of the contact points (k, 3) of each taxel from
-    their middle; taxel (k,): whose they are."""
-    off = points - means_by_group(points, taxel, weight=weight)[taxel]
-    square = means_by_group(np.sum(off**2, axis=1), taxel, weight=weight)
-    return square[np.isfinite(square)]
 
 
 def comparison(moved: Array, present: Array) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from ...geometry.surface.closest_point import Closest
 from ...scene.belief import Belief
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
 from .patch_shape import alike_contacts, over_patches, typical_radius, unevenness
-from .resolve_belief import nominal_patches
+from .resolve_belief import in_range, nominal_patches
 
 if TYPE_CHECKING:
     from ..joint.leaks import Leaks
@@ -246,12 +246,7 @@ class Measurements:
         if self.learned:
             hit = over_patches(self.belief, hit, self.force)
         else:
-            valid = self.model.is_valid(
-                force=self.force,
-                curvature=hit.curvature,
-                indenter_radius=self.belief.indenter.radius,
-                effective_modulus=self.modulus,
-            )
+            valid = in_range(self.model, self.belief, self.force, hit.curvature)
             hit = replace(hit, curvature=np.where(valid[:, None], hit.curvature, self.curvature))
         return replace(
             self,

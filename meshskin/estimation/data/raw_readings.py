@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import bdtrc
 
-from ...core.arrays import Array, robust_sigma, sums_by_group
+from ...core.arrays import Array, robust_sigma, spreads_by_group
 from ...core.errors import CalibrationError
 from ...recording.recording import Recording
 from ...scene.belief import RAW, Belief
@@ -248,14 +248,13 @@ def falls_with_pressure(
     compared = (count >= MIN_COMPARED) & (high > low) & ~saturated
     if not compared.any():
         return False
-    above = (values - low[taxel]) / np.where(compared, high - low, 1.0)[taxel]
-    spreads = []
-    for weight in ((1 - above) ** 4, above**4):
-        total = np.maximum(np.bincount(taxel, weight, n), 1e-300)
-        centre = sums_by_group(weight[:, None] * points[contact], taxel, n) / total[:, None]
-        square = weight * np.sum((points[contact] - centre[taxel]) ** 2, axis=1)
-        spreads.append(np.sqrt(np.bincount(taxel, square, n) / total)[compared])
-    ratio = spreads[0] / np.maximum(spreads[1], 1e-12)
+    used = compared[taxel]
+    values, at, taxel = values[used], points[contact[used]], taxel[used]
+    above = (values - low[taxel]) / (high - low)[taxel]
+    little, much = (
+        np.sqrt(spreads_by_group(at, taxel, weight)) for weight in ((1 - above) ** 4, above**4)
+    )
+    ratio = little / np.maximum(much, 1e-12)
     chance = bdtrc(int(np.sum(ratio < 1)) - 1, len(ratio), 0.5)
     return bool(np.median(ratio) < NARROWER and chance < CHANCE)
 

@@ -30,8 +30,6 @@ MIN_SCATTER = 1e-5
 CELL = 0.01
 """Size, m, of cells of the body in which all contacts together count as one: dents of a mesh are as
 wide as this and more."""
-
-
 UNDETERMINED = 0.5
 """Part of the prior variance of a direction of the offset that the distances leave, from which the
 direction is held: the prior then tells more than they do."""
@@ -85,6 +83,11 @@ def _moved(points: Array, offset: Array) -> Array:
     return np.asarray(points @ se3.exp_so3(offset[3:]).T + offset[:3])
 
 
+def cells(points: Array, size: float = CELL) -> np.ndarray:
+    """Number (m,) of the cell of the body, of a size in m, of each of the points (m, 3), m."""
+    return np.asarray(np.unique(np.floor(points / size), axis=0, return_inverse=True)[1].ravel())
+
+
 def _fit(belief: Belief, points: Array, sigma: Array) -> tuple[Array, Array]:
     """The most likely offset (6,), m and rad, with standard deviations sigma (6,) before, and its
     covariance (6, 6)."""
@@ -95,8 +98,8 @@ def _fit(belief: Belief, points: Array, sigma: Array) -> tuple[Array, Array]:
         scatter = max(robust_sigma(hit.distance), MIN_SCATTER)
         scatter = float(np.hypot(scatter, belief.surface_sigma))
         weight = huber_weights(hit.distance, scatter)
-        cells = np.unique(np.floor(moved / CELL), axis=0, return_inverse=True)[1].ravel()
-        weight /= np.bincount(cells)[cells]
+        cell = cells(moved)
+        weight /= np.bincount(cell)[cell]
         jacobian = np.einsum("mi,mik->mk", hit.normal, slopes(moved, offset))
         hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
         gradient = jacobian.T @ (weight * hit.distance) + prior * offset

@@ -83,13 +83,7 @@ def valid_contacts(force: Array, curvature: Array, belief: Belief) -> np.ndarray
     Raises the ContactError of the widest contact outside it, where more than MAX_INVALID of them
     are.
     """
-    material = belief.material
-    valid = contact_model(belief).is_valid(
-        force=force,
-        curvature=curvature,
-        indenter_radius=belief.indenter.radius,
-        effective_modulus=material.effective_modulus,
-    )
+    material, valid = belief.material, in_range(contact_model(belief), belief, force, curvature)
     invalid = np.flatnonzero(~valid)
     if len(invalid) > MAX_INVALID * len(valid):
         relative = np.maximum(curvature[invalid].mean(axis=1) + 1 / belief.indenter.radius, 0.0)
@@ -106,13 +100,31 @@ def valid_contacts(force: Array, curvature: Array, belief: Belief) -> np.ndarray
     return valid
 
 
+def in_range(
+    model: contact.ContactModel,
+    belief: Belief,
+    force: Array,
+    curvature: Array,
+    modulus: float | None = None,
+) -> np.ndarray:
+    """Contacts (m,) bool at which the model holds; arguments as `nominal_patches`."""
+    modulus = belief.material.effective_modulus if modulus is None else modulus
+    radius = belief.indenter.radius
+    return model.is_valid(
+        force=force, curvature=curvature, indenter_radius=radius, effective_modulus=modulus
+    )
+
+
 def nominal_patches(
-    model: contact.ContactModel, belief: Belief, force: Array, curvature: Array
+    model: contact.ContactModel,
+    belief: Belief,
+    force: Array,
+    curvature: Array,
+    modulus: float | None = None,
 ) -> contact.Patches:
-    """Patches of forces (m,), N, at curvatures (m, 2), 1/m, and the nominal E*."""
+    """Patches of forces (m,), N, at curvatures (m, 2), 1/m, and E*, Pa, by default the nominal."""
+    modulus = belief.material.effective_modulus if modulus is None else modulus
+    radius = belief.indenter.radius
     return model.patches(
-        force=force,
-        curvature=curvature,
-        indenter_radius=belief.indenter.radius,
-        effective_modulus=belief.material.effective_modulus,
+        force=force, curvature=curvature, indenter_radius=radius, effective_modulus=modulus
     )

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.arrays import Array
+from ...core.arrays import Array, spreads_by_group
 from ...recording.clock_offset import peak
 from ...robot.contact_kinematics import ContactKinematics, JointPath
-from ..data.delay import CHANCE, MIN_USED, comparison, spreads
+from ..data.delay import CHANCE, MIN_USED, comparison
 
 LARGEST = 6.0
 """Largest offset, s, that is looked for. Chosen: more than buffers and networks delay, and clocks
@@ -71,7 +71,7 @@ def first_offset(
         """Spreads (t,) of the taxels, m^2, by contacts at `points` (m, 3) of the readings used."""
         if not used.any():
             return np.array([np.inf])
-        return spreads(points[contact[used]], weight[used], taxel[used])
+        return spreads_by_group(points[contact[used]], taxel[used], weight[used])
 
     def spread_at(offset: float) -> float:
         """Mean spread, m^2, of the taxels with the offset."""

@@ -22,7 +22,9 @@ from ...core.errors import CalibrationError
 from ...geometry.body import Body
 from ...robot.contact_kinematics import JOINT_DELAY, JOINT_OFFSET, ContactKinematics, JointPath
 from ...scene.belief import Belief
-from .mesh_error import CELL, MeshError
+from ..data.registration import MIN_SCATTER, cells
+from ..data.resolve_belief import nominal_patches
+from .mesh_error import MeshError
 
 MAX_ITERATIONS = 25
 """Largest number of damped Gauss-Newton steps. The heights are met within five; along directions
@@ -34,10 +36,6 @@ CORRECTIONS = 2
 valley, along which straight steps would be short."""
 CONVERGED = 0.1
 """Length of the next step, in standard deviations, from which nothing moves that counts."""
-MIN_SCATTER = 1e-5
-"""Least standard deviation of a height, m: no arm and no mesh is better. A delay that changes the
-heights by less, in its standard deviation, is left to the readings: errors that many heights share
-would pass for information."""
 MAX_SCATTER = 3e-3
 """Largest standard deviation of the heights, m, of a body that is where it is believed: more than
 the depth of an indentation."""
@@ -108,7 +106,8 @@ class Heights:
         return height - (radius - sunk), jacobian, points
 
     def _weak(self, jacobian: Array) -> np.ndarray:
-        """Entries of x, delays, that change the heights by less than MIN_SCATTER."""
+        """Entries of x, delays, that change the heights by less than MIN_SCATTER in their
+        standard deviations: errors that many heights share would pass for information."""
         delays = np.arange(len(self.precision))[self.model.columns.get(JOINT_DELAY, slice(0))]
         effect = np.sqrt(np.mean(jacobian[:, delays] ** 2, axis=0) / self.precision[delays])
         return np.asarray(delays[effect < MIN_SCATTER])
@@ -223,13 +222,7 @@ def depths(belief: Belief, curvature: Array, force: Array) -> Array:
     material = belief.material
     name = belief.contact if belief.contact in BATCHED else "elliptic"
     model = ContactModel(name, material.poisson, material.thickness)
-    patches = model.patches(
-        force=force,
-        curvature=curvature,
-        indenter_radius=belief.indenter.radius,
-        effective_modulus=material.effective_modulus,
-    )
-    return np.asarray(patches.depth)
+    return np.asarray(nominal_patches(model, belief, force, curvature).depth)
 
 
 def surface_heights(
@@ -252,9 +245,8 @@ def _cost(r: Array, scatter: float) -> float:
     return huber_cost(r / scatter)
 
 
-def design_effect(points: Array, residuals: Array, size: float = CELL) -> float:
-    """Variance of the mean of residuals (m,) that are alike in a cell of the body, of a size in m,
-    in relation to that of independent ones; at least 1. points (m, 3), m."""
-    cells = np.unique(np.floor(points / size), axis=0, return_inverse=True)[1].ravel()
-    sums = sums_by_group(residuals, cells)
+def design_effect(points: Array, residuals: Array) -> float:
+    """Variance of the mean of residuals (m,) that are alike in a cell of the body, in relation to
+    that of independent ones; at least 1. points (m, 3), m."""
+    sums = sums_by_group(residuals, cells(points))
     return max(1.0, float(np.sum(sums**2) / max(np.sum(residuals**2), 1e-300)))

@@ -18,7 +18,7 @@ from scipy.special import fdtrc
 from ...core.arrays import Array
 from ...geometry.body import Body
 from ...robot.contact_kinematics import JOINT_DELAY, JOINT_OFFSET, ContactKinematics, JointPath
-from .mesh_error import CELL
+from ..data.registration import CELL
 
 SIGNIFICANCE = 1e-3
 """Probability by chance below which a joint is named: one robot of 170 with six sound joints is."""

@@ -17,10 +17,7 @@ import numpy as np
 from ...core.arrays import Array, sums_by_group
 from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
-
-CELL = 0.01
-"""Least size, m, of cells of the body in which its errors are alike: dents of a mesh are as wide as
-this and more."""
+from ..data.registration import CELL, cells
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,7 @@ class MeshError:
     sigma: float = 0.0
     """Standard deviation along the normals, m."""
     cell: float = CELL
-    """Size of the cells in which it is alike, m."""
+    """Size of the cells in which it is alike, m, at least that of dents."""
 
     @classmethod
     def of(cls, body: Body, hit: Closest, stated: float = 0.0) -> MeshError:
@@ -43,18 +40,13 @@ class MeshError:
         width = float(np.sqrt(np.median(body.mesh.area_faces[hit.face])))
         return cls(float(np.hypot(stated, np.sqrt(np.mean(over**2) / 3))), max(CELL, width))
 
-    def cells(self, points: Array) -> np.ndarray:
-        """Number (m,) of the cell of each of the points (m, 3), m."""
-        corners = np.floor(points / self.cell)
-        return np.asarray(np.unique(corners, axis=0, return_inverse=True)[1].ravel())
-
     def without(self, points: Array, weight: Array, columns: Array) -> Array:
         """W columns (m, k), with W the inverse covariance (m, m) of heights at points (m, 3), m,
         that have independent errors of precisions `weight` (m,), 1/m^2, besides this one.
 
         W = D - D Z (Z^T D Z + 1 / sigma^2)^-1 Z^T D, with Z the membership of the cells.
         """
-        cell, weighted = self.cells(points), weight[:, None] * columns
+        cell, weighted = cells(points, self.cell), weight[:, None] * columns
         if not self.sigma:
             return np.asarray(weighted)
         share = 1 / (np.bincount(cell, weight) + self.sigma**-2)

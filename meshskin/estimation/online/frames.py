@@ -20,7 +20,7 @@ from ..data.gather import taxel_rows
 from ..data.global_parameters import declared_parameters
 from ..data.measurements import NOMINAL_NOISE, Measurements
 from ..data.patch_shape import over_edges
-from ..data.resolve_belief import contact_model, nominal_patches, resolve_belief
+from ..data.resolve_belief import contact_model, in_range, nominal_patches, resolve_belief
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,12 +191,8 @@ def contacts_of(
     on_body = pressed & (np.abs(hit.distance) < unit_checks.MAX_DISTANCE)
     valid = on_body
     if not template.learned:  # a learned response needs no valid model
-        valid = on_body & model.is_valid(
-            force=np.where(pressed, frames.force, 1.0),
-            curvature=hit.curvature,
-            indenter_radius=belief.indenter.radius,
-            effective_modulus=template.modulus,
-        )
+        force = np.where(pressed, frames.force, 1.0)
+        valid = on_body & in_range(model, belief, force, hit.curvature)
     hit, kept = hit.take(valid), frames.take(valid)
     headings = None if template.headings is None else _headings(kept)
     found = replace(

@@ -6,7 +6,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc
 
 from ...core.arrays import Array
 from ...core.value import Value
@@ -14,6 +13,7 @@ from ..calibration import Calibration
 from ..data.delay import late_frames
 from ..data.resolve_belief import MAX_INVALID
 from ..next_contact import NextTouch
+from ..uncertainty.goodness_of_fit import chance
 from ..uncertainty.judge import MAX_FAULTY
 from .running_estimate import RunningEstimate
 
@@ -55,15 +55,6 @@ class SequentialTest:
             return 0.0
         self.looks, self._next = self.looks + 1, LOOK_STEP * count
         return FALSE_ALARM / (self.looks * (self.looks + 1))
-
-
-def misfits(square: float, freedom: float, level: float, pairs: int = 0) -> bool:
-    """Whether the sum of squared residuals with `freedom` degrees is above chance at `level`.
-
-    pairs: of readings that their unit, the noise, was estimated from; 0: it is known."""
-    if pairs:
-        return bool(fdtrc(freedom, pairs, square / freedom) < level)
-    return bool(chdtrc(freedom, square) < level)
 
 
 def moved_taxels(offset: Array, covariance: Array, level: float) -> np.ndarray:
@@ -204,7 +195,7 @@ class Judge:
         rejected = rejected + Counter({CONTRADICTED: int(estimate.store.misfitting.values.sum())})
         known = not estimate.store.noise_is_nominal and freedom >= FIRST_LOOK
         self.misfit = ""
-        if known and misfits(square, freedom, level, pairs):
+        if known and chance(square, freedom, pairs) < level:
             self.misfit = f"residuals are {np.sqrt(square / freedom):.3g} times the noise"
         elif contacts >= MIN_COUNT and rejected.total() > MAX_INVALID * contacts:
             ((reason, count),) = rejected.most_common(1)

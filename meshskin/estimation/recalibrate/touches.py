@@ -28,6 +28,7 @@ from ...contact import Patches
 from ...contact.reading import same_sheet
 from ...core.arrays import Array
 from ..data.measurements import Measurements
+from ..data.resolve_belief import nominal_patches
 from ..joint.contact_state import Contacts
 from ..joint.contacts import LinearizedContacts
 from ..joint.likelihood import MIN_DENOMINATOR, Likelihood
@@ -284,11 +285,9 @@ class Touches:
             level = _learned_levels(self.skin, contact, offset, log_modulus, group)
             return np.maximum(level, 0.0) / self.unit
         if log_modulus not in self._patches:
-            self._patches[log_modulus] = data.model.patches(
-                force=data.force,
-                curvature=data.curvature,
-                indenter_radius=data.belief.indenter.radius,
-                effective_modulus=data.modulus * np.exp(log_modulus),
+            modulus = data.modulus * np.exp(log_modulus)
+            self._patches[log_modulus] = nominal_patches(
+                data.model, data.belief, data.force, data.curvature, modulus
             )
         patches = self._patches[log_modulus]
         contacts = Contacts(data.points, data.normals, data.directions, patches, (), none, None)

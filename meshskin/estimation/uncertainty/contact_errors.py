@@ -17,7 +17,7 @@ from ...core import se3
 from ...core.arrays import Array
 from ..data import delay
 from ..data.measurements import Measurements
-from ..data.registration import CELL, MIN_SCATTER, slopes
+from ..data.registration import MIN_SCATTER, cells, slopes
 from ..trilateration.displacements import surface_motion
 from ..trilateration.trilaterate import starts
 from . import swapped_axes
@@ -218,9 +218,8 @@ def effective_variance(rest: Array, points: Array) -> float:
     """Variance, m^2, of independent errors that are worth as much as those which leave distances
     `rest` (m,), m, at points (m, 3), m: errors of contacts in the same cell may be alike, as over a
     dent."""
-    cells = np.unique(np.floor(points / CELL), axis=0, return_inverse=True)[1].ravel()
-    count = np.bincount(cells)
-    between = float(np.mean(np.bincount(cells, rest) ** 2 / count))
+    cell = cells(points)
+    between = float(np.mean(np.bincount(cell, rest) ** 2 / np.bincount(cell)))
     return max(float(np.mean(rest**2)), between, MIN_SCATTER**2)
 
 

@@ -63,6 +63,12 @@ class GoodnessOfFit:
         return self.noise * self.reduced**0.5 < NUMERICAL * float(np.quantile(pressure, STRONG))
 
 
+def chance(chi2: float, freedom: float, pairs: int = 0) -> float:
+    """Probability of so large a sum of squared residuals, with `freedom` degrees, in units of the
+    noise; pairs: of readings that it was estimated from, 0: it is known."""
+    return float(fdtrc(freedom, pairs, chi2 / freedom) if pairs else chdtrc(freedom, chi2))
+
+
 def goodness_of_fit(
     chi2: float, freedom: float, noise_known: bool, outlying: int = 0, pairs: int = 0
 ) -> GoodnessOfFit:
@@ -73,7 +79,7 @@ def goodness_of_fit(
     """
     left_out = f" ({outlying} outlying readings left out)" if outlying else ""
     if not noise_known and freedom > 0 and pairs >= MIN_PAIRS:
-        p, ratio = float(fdtrc(freedom, pairs, chi2 / freedom)), chi2 / freedom
+        p, ratio = chance(chi2, freedom, pairs), chi2 / freedom
         words = f"residuals are {ratio**0.5:.3g} times the scatter between neighbouring contacts"
         words = (
             f"the model does not fit: {words}, p = {p:.2g}; {REMEDY}"
@@ -85,7 +91,7 @@ def goodness_of_fit(
         reason = "too few readings" if noise_known else "the noise is not known"
         words = f"not tested: {reason}{left_out}"
         return GoodnessOfFit(chi2, freedom, float("nan"), words, outlying, pairs=pairs)
-    p, ratio = float(chdtrc(freedom, chi2)), chi2 / freedom
+    p, ratio = chance(chi2, freedom), chi2 / freedom
     if p < SIGNIFICANCE:
         words = (
             f"the model does not fit: residuals are {ratio**0.5:.3g} times the noise, p = {p:.2g}; "

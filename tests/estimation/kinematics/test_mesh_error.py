@@ -5,7 +5,8 @@ import pytest
 import trimesh
 
 import meshskin as ms
-from meshskin.estimation.kinematics.mesh_error import CELL, MeshError
+from meshskin.estimation.data.registration import CELL, cells
+from meshskin.estimation.kinematics.mesh_error import MeshError
 
 RADIUS = 0.0375
 
@@ -47,7 +48,7 @@ def test_weights_are_those_of_the_dense_covariance():
     rng = np.random.default_rng(2)
     points, columns = rng.uniform(0, 0.05, (60, 3)), rng.normal(size=(60, 4))
     weight, error = rng.uniform(1e8, 1e10, 60), MeshError(2e-4, 0.02)
-    cell = error.cells(points)
+    cell = cells(points, error.cell)
     covariance = np.diag(1 / weight) + error.sigma**2 * (cell[:, None] == cell)
     expected = np.linalg.solve(covariance, columns)
     np.testing.assert_allclose(error.without(points, weight, columns), expected, rtol=1e-9)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from meshskin.estimation.online.status import FALSE_ALARM, SequentialTest, misfits, moved_taxels
+from meshskin.estimation.online.status import FALSE_ALARM, SequentialTest, moved_taxels
+from meshskin.estimation.uncertainty.goodness_of_fit import chance
 
 
 def test_the_levels_of_all_looks_add_up_to_the_false_alarm_rate():
@@ -32,5 +33,5 @@ def test_moves_are_found_and_seldom_imagined():
 def test_residuals_above_the_noise_are_a_misfit():
     rng = np.random.default_rng(0)
     square = rng.chisquare(500, size=4000)
-    assert np.mean([misfits(x, 500, 0.01) for x in square]) == pytest.approx(0.01, abs=0.005)
-    assert misfits(1.5 * 500, 500, 1e-6)
+    assert np.mean([chance(x, 500) < 0.01 for x in square]) == pytest.approx(0.01, abs=0.005)
+    assert chance(1.5 * 500, 500) < 1e-6
