@@ -113,7 +113,4 @@ def demonstrate(
 
 def aligned(estimate: Array, truth: Array) -> Array:
     """`estimate` (n, 3) aligned rigidly with `truth` (n, 3); a single point moves to its centre."""
-    if np.ptp(estimate, axis=0).max() < 1e-12:
-        return estimate + (truth.mean(axis=0) - estimate.mean(axis=0))
-    pose = se3.align(estimate, truth)
-    return se3.transform_points(pose, estimate)
+    return se3.transform_points(se3.align(estimate, truth), estimate)

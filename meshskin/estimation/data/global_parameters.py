@@ -27,25 +27,44 @@ on. They leave 0.8 % of the range of one period of a sine, and less of warming."
 DRIFTS = ("gain_drift", "offset_drift", "force_drift")
 """Drifts of the logarithm of the gain and of the offset of all taxels, and of the logarithm of the
 true over the measured forces, estimated where the readings show them."""
-SIZES = {
-    "modulus": 1,
-    "force_scale": 1,
-    "force_offset": 1,
-    "indenter_offset": 3,
-    "body_offset": 6,
-    "drag": 1,
-    "friction": 1,
-    "scale": 1,
-    "exponents": 3,
-    "aspect": 1,
-    "compression": 1,
-    "profile": PROFILE_SIZE,
-    "hysteresis": 2,
-    "crosstalk": 1,
-    "creep": 3,
-    **dict.fromkeys(DRIFTS, DRIFT_SIZE),
-}
+PARAMETERS: dict[str, tuple[int, float, str]] = {
+    "modulus": (1, 1.0, "E* within a factor {:.3g} of its nominal value (1 sigma)"),
+    "force_scale": (1, 0.3, "force within a factor {:.3g} of the measured one (1 sigma)"),
+    "force_offset": (1, 0.3, "force offset 0 +- {:.3g} N"),
+    "indenter_offset": (3, 5e-3, "indenter offset 0 +- {:.3g} m"),
+    "body_offset": (6, 5e-3, "body offset 0 +- {:.3g} m"),
+    "drag": (1, 1e-3, "patches 0 +- {:.3g} m behind the moving contacts"),
+    "friction": (1, 1e-3, "contacts slide from a shear of the skin of 0 +- {:.3g} m on"),
+    "scale": (1, 0.5, "readings within a factor {:.3g} of the nominal pressures (1 sigma)"),
+    "exponents": (3, 0.1, "exponents of the patch in the load within {:.3g} of the model's"),
+    "aspect": (1, 0.3, "ratio of the semi-axes, as an exponent of the model's, within {:.3g} of 1"),
+    "compression": (1, 0.3, "compression of strong readings 0 +- {:.3g}"),
+    "profile": (
+        PROFILE_SIZE, 0.1, "pressure profile within {:.3g} of the model's peak (1 sigma, smooth)",
+    ),
+    "hysteresis": (2, 1.0, "share of hysteresis 0 +- {:.3g}"),
+    "crosstalk": (1, 0.3, "share of its neighbours' pressures in a reading 0 +- {:.3g}"),
+    "creep": (3, 1.0, "share of creep 0 +- {:.3g}"),
+    "gain_drift": (DRIFT_SIZE, 0.1, "drift of the gain of all taxels 0 +- {:.3g}"),
+    "offset_drift": (
+        DRIFT_SIZE, 0.1, "drift of the offset of all taxels, in nominal peaks, 0 +- {:.3g}",
+    ),
+    "force_drift": (DRIFT_SIZE, 0.1, "drift of ln of the forces 0 +- {:.3g}"),
+    "gain": (0, 0.3, "gain of each taxel within a factor {:.3g} of 1 (1 sigma)"),
+    "offset": (0, 0.3, "offset of each taxel 0 +- {:.3g} Pa"),
+    "drift": (0, 0.3, "drift of each taxel's offset during the recording 0 +- {:.3g} Pa"),
+    "skew": (0, 1e-3, "patches 0 +- {:.3g} m behind the contacts when a taxel is read"),
+}  # fmt: skip
+"""Number of entries of each global parameter, 0 of those of each taxel; the default standard
+deviation of its prior; and the prior in words.
+
+Deviations are of the logarithms of modulus, force scale and gain; of the force offset in reference
+forces, of the pressure offset and its drift over the recording in reference peak pressures, of
+indenter and body offset, drag and skew in m. Weak on purpose: `Belief.priors` replaces them."""
+SIZES = {name: size for name, (size, _, _) in PARAMETERS.items() if size}
 """Number of entries of each global parameter, but for the contact motion."""
+PRIORS = {name: sigma for name, (_, sigma, _) in PARAMETERS.items()}
+"""Default standard deviations of the priors."""
 MOTION = "contact_motion"
 """Global parameter of as many entries as the belief's contact motion has."""
 MOVES = ("indenter_offset", "body_offset", "drag", "friction", MOTION)
@@ -54,30 +73,6 @@ NUISANCE = ("gain", "offset", "drift", "skew")
 """Parameters of each taxel beside its position."""
 OWN_DEPARTURES = ("drift", "skew")
 """Those that are estimated only where the readings show them."""
-PRIORS = {
-    "modulus": 1.0,
-    "force_scale": 0.3,
-    "force_offset": 0.3,
-    "indenter_offset": 5e-3,
-    "body_offset": 5e-3,
-    "drag": 1e-3,
-    "friction": 1e-3,
-    "scale": 0.5,
-    "exponents": 0.1,
-    "aspect": 0.3,
-    "compression": 0.3,
-    "profile": 0.1,
-    "hysteresis": 1.0,
-    "crosstalk": 0.3,
-    "creep": 1.0,
-    **dict.fromkeys(DRIFTS, 0.1),
-    **dict.fromkeys(("gain", "offset", "drift"), 0.3),
-    "skew": 1e-3,
-}
-"""Default standard deviations of the priors: of the logarithms of modulus, force scale and gain; of
-the force offset in reference forces, of the pressure offset and its drift over the recording in
-reference peak pressures, of indenter and body offset, drag and skew in m. Weak on purpose:
-`Belief.priors` replaces them."""
 ROTATION = 10.0
 """Standard deviation of the body's rotation, rad, per m of that of its translation: the rotation
 that moves a point 0.1 m from the origin as far as the translation does."""
@@ -229,33 +224,9 @@ class GlobalParameters:
         """One sentence for each prior."""
         sigma = {name: float(self.sigma[at.start]) for name, at in self.columns.items()}
         sigma |= zip(self.nuisance_names, self.nuisance_sigma, strict=True)
-        words = {
-            "modulus": "E* within a factor {:.3g} of its nominal value (1 sigma)",
-            "force_scale": "force within a factor {:.3g} of the measured one (1 sigma)",
-            "force_offset": "force offset 0 +- {:.3g} N",
-            "indenter_offset": "indenter offset 0 +- {:.3g} m",
-            "body_offset": "body offset 0 +- {:.3g} m",
-            "drag": "patches 0 +- {:.3g} m behind the moving contacts",
-            "friction": "contacts slide from a shear of the skin of 0 +- {:.3g} m on",
-            "scale": "readings within a factor {:.3g} of the nominal pressures (1 sigma)",
-            "exponents": "exponents of the patch in the load within {:.3g} of the model's",
-            "aspect": "ratio of the semi-axes, as an exponent of the model's, within {:.3g} of 1",
-            "compression": "compression of strong readings 0 +- {:.3g}",
-            "profile": "pressure profile within {:.3g} of the model's peak (1 sigma, smooth)",
-            "hysteresis": "share of hysteresis 0 +- {:.3g}",
-            "creep": "share of creep 0 +- {:.3g}",
-            "gain_drift": "drift of the gain of all taxels 0 +- {:.3g}",
-            "offset_drift": "drift of the offset of all taxels, in nominal peaks, 0 +- {:.3g}",
-            "force_drift": "drift of ln of the forces 0 +- {:.3g}",
-            "crosstalk": "share of its neighbours' pressures in a reading 0 +- {:.3g}",
-            "gain": "gain of each taxel within a factor {:.3g} of 1 (1 sigma)",
-            "offset": "offset of each taxel 0 +- {:.3g} Pa",
-            "drift": "drift of each taxel's offset during the recording 0 +- {:.3g} Pa",
-            "skew": "patches 0 +- {:.3g} m behind the contacts when a taxel is read",
-        }
         return tuple(
             text.format(np.exp(sigma[name]) if name in LOGARITHMS else sigma[name])
-            for name, text in words.items()
+            for name, (_, _, text) in PARAMETERS.items()
             if name in sigma
         )
 

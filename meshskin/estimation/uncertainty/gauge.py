@@ -72,11 +72,7 @@ def aligned(graph: PoseGraph, poses: Array) -> tuple[Array, np.ndarray]:
     """
     out, linked = poses.copy(), np.zeros(len(poses), dtype=bool)
     for rows in _parts(graph):
-        source, target = poses[rows, :3, 3], graph.poses[rows, :3, 3]
-        if np.ptp(source, axis=0).max() < 1e-9:  # all at one point, as at the origin
-            out[rows, :3, 3] = target.mean(axis=0)
-        else:
-            out[rows] = se3.align(source, target) @ poses[rows]
+        out[rows] = se3.align(poses[rows, :3, 3], graph.poses[rows, :3, 3]) @ poses[rows]
         linked[rows] = True
     return out, linked
 
