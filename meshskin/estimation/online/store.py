@@ -183,6 +183,7 @@ class ContactStore:
         return replace(
             self.template,
             points=self.columns["points"].values[contacts],
+            normals=self.columns["normals"].values[contacts],
             time=self.columns["time"].values[contacts],
             contact=row[self.contact.values[rows]],
             taxel=self.taxel.values[rows],
