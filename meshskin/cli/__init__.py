@@ -15,32 +15,18 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from types import FrameType
 from typing import NoReturn, TextIO
 
 from ..core.errors import MeshskinError
-from . import (
-    calibrate,
-    check,
-    cost,
-    diff,
-    effects,
-    init,
-    lint,
-    live,
-    log,
-    recalibrate,
-    report,
-    run,
-    scenes,
-    study,
-)
 from .options import in_options
 
 COMMANDS = (
-    run, calibrate, recalibrate, live, report, init, log, scenes, effects, cost, study, check, lint,
-    diff,
+    "run", "calibrate", "recalibrate", "live", "report", "init", "log", "scenes", "effects", "cost",
+    "study", "check", "lint", "diff",
 )  # fmt: skip
+"""Names of the commands and of their modules."""
 BAD_INPUT = 2
 """Exit code for input that meshskin refuses."""
 INTERRUPTED = 130
@@ -148,10 +134,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"meshskin {versions()['meshskin']}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in COMMANDS:
+    for name in COMMANDS:
+        module = import_module(f".{name}", __name__)
         title, _, description = str(module.__doc__).partition("\n\n")
         command = commands.add_parser(
-            module.__name__.rpartition(".")[2],
+            name,
             help=title.partition(": ")[2].rstrip("."),
             description=description or None,
         )

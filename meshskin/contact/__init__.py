@@ -44,16 +44,9 @@ LEARNED = "learned"
 """In a belief, instead of a name: a response that is estimated with the taxels."""
 
 __all__ = [
-    "AUTO",
-    "BATCHED",
-    "LEARNED",
-    "MODELS",
-    "ContactModel",
-    "ContactProblem",
-    "Patch",
-    "Patches",
+    "AUTO", "BATCHED", "LEARNED", "MODELS", "ContactModel", "ContactProblem", "Patch", "Patches",
     "solve",
-]
+]  # fmt: skip
 
 
 def solve(

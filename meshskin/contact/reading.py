@@ -77,7 +77,7 @@ class ReadingModel:
         its own sheet of skin (`same_sheet`). Raises ContactError where a contact is outside the
         series or the table of the contact model.
         """
-        patches = self._patches(force, curvature)
+        patches = self.patches(force, curvature)
         reach = np.maximum(patches.first, patches.second) + self.disc_radius
         row, col, offset = _pairs_in_reach(points, positions, reach)
         if taxel_normals is not None:
@@ -106,7 +106,7 @@ class ReadingModel:
         In contacts under `force`, N, at principal curvatures (k, 2), 1/m, along both axes of the
         patch.
         """
-        patches = [one._patches(force, curvature) for one in (self, other)]
+        patches = [one.patches(force, curvature) for one in (self, other)]
         longest = max(float(np.max([p.first, p.second])) for p in patches)
         steps = np.linspace(0.0, longest + max(self.disc_radius, other.disc_radius), SAMPLES)
         k, (x, y, z) = len(curvature), np.eye(3)
@@ -115,7 +115,8 @@ class ReadingModel:
         mine, theirs = (one.pressures(*contacts, curvature, positions) for one in (self, other))
         return min(float(np.abs(theirs - mine).max() / np.min(patches[0].peak)), 1.0)
 
-    def _patches(self, force: float | Array, curvature: Array) -> Patches:
+    def patches(self, force: float | Array, curvature: Array) -> Patches:
+        """Patches of contacts under `force` (...), N, at `curvature` (..., 2), 1/m."""
         return self.model.patches(
             force=force,
             curvature=curvature,

@@ -161,6 +161,17 @@ def from_table(cls: type[T], table: Mapping[str, Any], where: str) -> T:
     return config
 
 
+def to_table(config: Any) -> dict[str, Any]:
+    """The TOML table, in SI units, from which `from_table` makes a dataclass; None is left out."""
+    out: dict[str, Any] = {}
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if value is not None and field.init:
+            key = next(key for key, factor in _keys(field).items() if factor == 1.0)
+            out[key] = list(value) if isinstance(value, tuple) else value
+    return out
+
+
 def _typed(value: Any, kind: Any, length: int | None, where: str) -> Any:
     """A value without a unit, a list as a tuple. Raises ConfigError for a wrong str or bool.
 

@@ -24,23 +24,7 @@ from .pipeline import EffectPipeline, build, ordered
 from .registry import every_name, find, from_table, registered
 
 __all__ = [
-    "NAMES",
-    "STAGES",
-    "BaseEffect",
-    "Context",
-    "Effect",
-    "EffectClock",
-    "EffectPipeline",
-    "FrameTransform",
-    "Frames",
-    "NoiseEffect",
-    "PressureField",
-    "PressureTransform",
-    "build",
-    "check_effect",
-    "every_name",
-    "find",
-    "from_table",
-    "ordered",
-    "registered",
-]
+    "NAMES", "STAGES", "BaseEffect", "Context", "Effect", "EffectClock", "EffectPipeline",
+    "FrameTransform", "Frames", "NoiseEffect", "PressureField", "PressureTransform", "build",
+    "check_effect", "every_name", "find", "from_table", "ordered", "registered",
+]  # fmt: skip

@@ -123,12 +123,7 @@ def _path(scene: Scene, rig: ContactRig, hit: Closest, force: float) -> tuple[Pa
     """The path with one row, a segment of its own, for each contact that can be made with a force,
     N; and the reason (k,) why a contact cannot, "" where it can.
     """
-    patches = scene.model.patches(
-        force=np.full(len(hit.point), force),
-        curvature=hit.curvature,
-        indenter_radius=scene.indenter.radius,
-        effective_modulus=scene.material.effective_modulus,
-    )
+    patches = scene.reading_model.patches(np.full(len(hit.point), force), hit.curvature)
     centres = hit.point + (scene.indenter.radius - patches.depth)[:, None] * hit.normal
     poses = rig.poses(centres, hit.normal, any_tangents(hit.normal))
     joints, reason = None, np.full(len(poses), "", dtype=object)

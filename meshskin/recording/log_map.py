@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ import numpy as np
 from ..core.arguments import check_integer, check_name, check_path, check_type
 from ..core.arrays import Array
 from ..core.config import UNITS as SI_UNITS
-from ..core.config import check_fields, check_table, from_table, quantity, read_toml
+from ..core.config import check_fields, check_table, from_table, quantity, read_toml, to_table
 from ..core.errors import ConfigError, UnknownNameError
 from . import field_path
 from .stream import CONTACTS, JOINTS, KINDS, POSE, TAXELS, WRENCH, Stream
@@ -224,15 +224,6 @@ def _stream(entry: Any, number: int) -> StreamMap:
 
 def _lines(stream: StreamMap) -> list[str]:
     """Lines of TOML of what differs from the defaults, and the unit."""
-    out = []
-    for field in fields(StreamMap):
-        value = getattr(stream, field.name)
-        if field.name == "unit":
-            value = stream.unit or stream.si_unit
-        elif value == field.default:
-            continue
-        unit = field.metadata.get("unit", "")
-        key = f"{field.name}_{unit}" if unit else field.name
-        value = list(value) if isinstance(value, tuple) else value
-        out.append(f"{key} = {json.dumps(value, ensure_ascii=False)}")
-    return out
+    usual = {k: v for k, v in to_table(StreamMap("", stream.kind)).items() if k != "kind"}
+    written = to_table(replace(stream, unit=stream.unit or stream.si_unit)).items()
+    return [f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in written if v != usual.get(k)]

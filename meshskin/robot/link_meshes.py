@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.arrays import Array
-from ..core.errors import MeshError
 from ..core.se3 import shortest_rotation, transform, transform_points
 from ..geometry.mesh import link_mesh
 from ..geometry.mesh.triangles import Triangles
-from .urdf import UrdfTree, rotation, vector
+from .link_shapes import geometry_of, of_shapes
+from .urdf import UrdfTree
 
 if TYPE_CHECKING:
     from .chain import Chain
@@ -70,47 +70,26 @@ class LinkPoses:
 
 def _shapes(link: ET.Element, folders: list[str | Path]) -> list[Triangles]:
     """The triangles of a link's visual shapes; of its collision shapes if none can be read."""
-    for kind in link_mesh.KINDS:
-        found = []
-        for shape in link.findall(kind):
-            try:
-                found += _placed(shape, folders)
-            except MeshError:  # a picture does without a mesh that is missing
-                continue
-        if found:
-            return found
-    return []
+    return of_shapes(link, link_mesh.KINDS, lambda shape: _placed(shape, folders))[0]
 
 
 def _placed(shape: ET.Element, folders: list[str | Path]) -> list[Triangles]:
     """The triangles of one shape, in the frame of its link. Raises MeshError."""
     from trimesh import creation
 
-    if shape.find("geometry/mesh") is not None:
+    kind, pose, size = geometry_of(shape)
+    if kind == "mesh":
         return [link_mesh.placed(shape, folders, " of a link")]
-    origin = shape.find("origin")
-    pose = transform(rotation(_numbers(origin, "rpy")), _numbers(origin, "xyz"))
-    box, cylinder, capsule, sphere = (
-        shape.find(f"geometry/{k}") for k in ("box", "cylinder", "capsule", "sphere")
-    )
-    if box is not None:
-        made = creation.box(extents=_numbers(box, "size"))
-    elif cylinder is not None:
-        radius, length = (_numbers(cylinder, k, "0")[0] for k in ("radius", "length"))
+    radius, length = (float(size.get(key, [0.0])[0]) for key in ("radius", "length"))
+    if kind == "box":
+        made = creation.box(extents=size["size"])
+    elif kind == "cylinder":
         made = creation.cylinder(radius=radius, height=length, sections=32)
-    elif capsule is not None:
-        radius, length = (_numbers(capsule, k, "0")[0] for k in ("radius", "length"))
+    elif kind == "capsule":
         made = creation.capsule(height=length, radius=radius)
-    elif sphere is not None:
-        made = creation.icosphere(subdivisions=2, radius=_numbers(sphere, "radius", "0")[0])
     else:
-        return []
+        made = creation.icosphere(subdivisions=2, radius=radius)
     return [Triangles(transform_points(pose, made.vertices), np.asarray(made.faces))]
-
-
-def _numbers(element: ET.Element | None, key: str, default: str = "0 0 0") -> Array:
-    """The numbers of an attribute of a shape. Raises ArmError."""
-    return vector(element, key, default, len(default.split()), " of a link's shape")
 
 
 def rod(end: Array) -> Triangles:

@@ -10,8 +10,9 @@ Source of the enclosing circles: Badoiu, Clarkson, "Smaller core-sets for balls"
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,19 @@ from ..core.arrays import Array, ranges
 from ..core.errors import MeshError
 from ..core.se3 import transform
 from ..geometry.mesh import mesh_file
-from ..geometry.mesh.link_mesh import find_mesh
+from ..geometry.mesh.link_mesh import KINDS, find_mesh
 from .urdf import rotation, vector
 
+T = TypeVar("T")
+
+SIZES = {
+    "mesh": {"scale": "1 1 1"},
+    "box": {"size": "0 0 0"},
+    "sphere": {"radius": "0"},
+    "cylinder": {"radius": "0", "length": "0"},
+    "capsule": {"radius": "0", "length": "0"},
+}
+"""Attributes of each geometry of a shape, with their defaults: m, and factors of a mesh."""
 MIN_SLAB = 0.06
 """Least width of the slabs that a mesh is cut into, m. Chosen: about the radius of a link."""
 MAX_SLABS = 8
@@ -56,13 +67,20 @@ def link_capsules(link: ET.Element, folders: Iterable[str]) -> tuple[list[Capsul
 
     The collision shapes are used; the visual ones if no collision shape can be read.
     """
+    return of_shapes(link, KINDS[::-1], lambda shape: _capsules(shape, folders))
+
+
+def of_shapes(
+    link: ET.Element, kinds: Iterable[str], read: Callable[[ET.Element], list[T]]
+) -> tuple[list[T], list[str]]:
+    """What `read` gives of a link's shapes of the first of the kinds that can be read; the reasons
+    for which it raised MeshError for shapes."""
     lacking: list[str] = []
-    for kind in ("collision", "visual"):
-        found: list[Capsule] = []
-        missing: list[str] = []
+    for kind in kinds:
+        found, missing = list[T](), list[str]()
         for element in link.findall(kind):
             try:
-                found += [c for c in _capsules(element, folders) if c.radius > 0.0]
+                found += read(element)
             except MeshError as error:
                 missing.append(str(error))
         if found:
@@ -71,42 +89,47 @@ def link_capsules(link: ET.Element, folders: Iterable[str]) -> tuple[list[Capsul
     return [], lacking
 
 
-def _capsules(element: ET.Element, folders: Iterable[str]) -> list[Capsule]:
-    """The capsules about one shape. Raises MeshError for a shape that cannot be read."""
+def geometry_of(element: ET.Element) -> tuple[str, Array, dict[str, Array]]:
+    """Kind of a shape, its pose (4, 4) in the link, m, and its sizes by name, m; zero where they
+    are missing. Raises ArmError for bad numbers, MeshError for an unknown geometry."""
 
     def numbers(e: ET.Element | None, key: str, default: str) -> Array:
         return vector(e, key, default, len(default.split()), " of a link's shape")
 
     origin = element.find("origin")
     pose = transform(rotation(numbers(origin, "rpy", "0 0 0")), numbers(origin, "xyz", "0 0 0"))
-    box, cylinder, capsule, sphere, mesh = (
-        element.find(f"geometry/{k}") for k in ("box", "cylinder", "capsule", "sphere", "mesh")
-    )
-    if sphere is not None:
-        return [Capsule(pose[:3, 3], pose[:3, 3], float(numbers(sphere, "radius", "0")[0]))]
-    if capsule is not None:  # its length is that of its axis
-        half = 0.5 * numbers(capsule, "length", "0") * pose[:3, 2]
-        radius = float(numbers(capsule, "radius", "0")[0])
-        return [Capsule(pose[:3, 3] - half, pose[:3, 3] + half, radius)]
-    if box is not None:
+    for kind, sizes in SIZES.items():
+        if (shape := element.find(f"geometry/{kind}")) is not None:
+            return kind, pose, {key: numbers(shape, key, text) for key, text in sizes.items()}
+    kinds = ", ".join(e.tag for e in element.findall("geometry/*"))
+    raise MeshError("a link's shape has no known geometry", value=kinds or "none")
+
+
+def _capsules(element: ET.Element, folders: Iterable[str]) -> list[Capsule]:
+    """The capsules about one shape. Raises MeshError for a shape that cannot be read."""
+    kind, pose, size = geometry_of(element)
+    radius, length = (float(size.get(key, [0.0])[0]) for key in ("radius", "length"))
+    if kind in ("sphere", "capsule"):  # the length of a capsule is that of its axis
+        half = 0.5 * length * pose[:3, 2]
+        ends = pose[:3, 3] - half, pose[:3, 3] + half
+        return [Capsule(*ends, radius)] if radius > 0.0 else []
+    if kind == "box":
         signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
-        clouds = [signs * 0.5 * numbers(box, "size", "0 0 0")]
-    elif cylinder is not None:
+        clouds = [signs * 0.5 * size["size"]]
+    elif kind == "cylinder":
         turn = 2 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
-        rim = numbers(cylinder, "radius", "0")[0] / np.cos(np.pi / CYLINDER_SIDES)
-        half = 0.5 * numbers(cylinder, "length", "0")[0]
+        rim = radius / np.cos(np.pi / CYLINDER_SIDES)
         ring = np.stack(
-            [rim * np.cos(turn), rim * np.sin(turn), np.full(CYLINDER_SIDES, half)], axis=1
+            [rim * np.cos(turn), rim * np.sin(turn), np.full(CYLINDER_SIDES, 0.5 * length)], axis=1
         )
         clouds = [np.concatenate([ring, ring * [1.0, 1.0, -1.0]])]
-    elif mesh is not None:
-        path = find_mesh(mesh.get("filename", ""), folders)
-        read = mesh_file.read(path)
-        clouds = slabs(read.vertices * numbers(mesh, "scale", "1 1 1"), read.faces)
     else:
-        kinds = ", ".join(e.tag for e in element.findall("geometry/*"))
-        raise MeshError("a link's shape has no known geometry", value=kinds or "none")
-    return [enclosing_capsule(cloud @ pose[:3, :3].T + pose[:3, 3]) for cloud in clouds]
+        mesh = element.find("geometry/mesh")
+        assert mesh is not None
+        read = mesh_file.read(find_mesh(mesh.get("filename", ""), folders))
+        clouds = slabs(read.vertices * size["scale"], read.faces)
+    made = (enclosing_capsule(cloud @ pose[:3, :3].T + pose[:3, 3]) for cloud in clouds)
+    return [capsule for capsule in made if capsule.radius > 0.0]
 
 
 def slabs(vertices: Array, faces: NDArray[np.intp]) -> list[Array]:

@@ -12,17 +12,8 @@ from xml.sax.saxutils import quoteattr
 from ..core.arrays import Array
 from ..core.se3 import exp_so3, to_rpy
 from ..geometry.mesh.link_mesh import KINDS
+from .link_shapes import SIZES
 from .urdf import Joint, numbers, rotation, vector
-
-SHAPE_SIZES = {
-    "mesh": {"scale": "1 1 1"},
-    "box": {"size": "1 1 1"},
-    "sphere": {"radius": "1"},
-    "cylinder": {"radius": "1", "length": "1"},
-    "capsule": {"radius": "1", "length": "1"},
-}
-"""Attributes of each shape, m (a mesh: factors), that are its size, with placeholders of their
-lengths; that of a mesh is the default of the URDF format."""
 
 _START_TAG = re.compile(rb"""(?:[^>"']|"[^"]*"|'[^']*')*>""")
 """A start tag to its end; attributes may hold ">"."""
@@ -62,7 +53,7 @@ def with_moved_shapes(urdf: str, link: str, pose: Array, scale: float, where: st
         of_link = shape.path in [("robot", "link", kind) for kind in KINDS]
         if not geometry or not of_link or tags[shape.parent].attributes.get("name") != link:
             continue
-        for kind, sizes in SHAPE_SIZES.items():
+        for kind, sizes in SIZES.items():
             edits += [_scaled(t, sizes, scale, here) for t in _children(tags, geometry[0], kind)]
         origin = ET.Element("origin", *(t.attributes for t in _children(tags, shape, "origin")[:1]))
         xyz, rpy = (vector(origin, key, "0 0 0", 3, here) for key in ("xyz", "rpy"))

@@ -165,12 +165,7 @@ def _check_distance(distance: Array) -> None:
 
 def _static_frames(scene: Scene, hit: Closest, forces: Array, rotations: Array) -> Frames:
     """Frames of static contacts (m) at forces (m,), N, the body at rotations R_w_b (m, 3, 3)."""
-    patches = scene.model.patches(
-        force=forces,
-        curvature=hit.curvature,
-        indenter_radius=scene.indenter.radius,
-        effective_modulus=scene.material.effective_modulus,
-    )
+    patches = scene.reading_model.patches(forces, hit.curvature)
     centres = hit.point + (scene.indenter.radius - patches.depth)[:, None] * hit.normal
     place = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", rotations, centres)
     time = PRESS_INTERVAL * np.arange(float(len(forces)))

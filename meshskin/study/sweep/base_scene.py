@@ -220,27 +220,13 @@ def _with_effect(effects: Any, rest: str, value: Any) -> list[dict[str, Any]]:
 def _tables_of(scene: Scene) -> dict[str, Any]:
     """The tables, in SI units, of all parts of a scene except its body, skin and arm."""
     names = ("material", "indenter", "law", "exploration", "loop", "readout")
-    out: dict[str, Any] = {name: _table_of(getattr(scene, name)) for name in names}
-    out["effects"] = [{"kind": effect.name, **_table_of(effect)} for effect in scene.effects]
+    out: dict[str, Any] = {name: config.to_table(getattr(scene, name)) for name in names}
+    out["effects"] = [{"kind": effect.name, **config.to_table(effect)} for effect in scene.effects]
     if scene.candidates is not None:
-        out["candidates"] = [{"kind": e.name, **_table_of(e)} for e in scene.candidates]
+        out["candidates"] = [{"kind": e.name, **config.to_table(e)} for e in scene.candidates]
     if scene.budget is not None:
         out["budget_m"] = scene.budget
     return out | {"contact": scene.contact}
-
-
-def _table_of(part: Any) -> dict[str, Any]:
-    """The table, in SI units, from which `config.build` makes a dataclass again."""
-    out: dict[str, Any] = {}
-    for item in dataclasses.fields(part):
-        value = getattr(part, item.name)
-        if value is None or not item.init:
-            continue
-        unit = item.metadata.get("unit", "")
-        suffix = next(s for s, factor in config.UNITS[unit].items() if factor == 1.0)
-        listed = list(value) if isinstance(value, tuple) else value
-        out[f"{item.name}_{suffix}" if suffix else item.name] = listed
-    return out
 
 
 def _foreign(kind: type) -> bool:

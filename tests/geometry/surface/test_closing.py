@@ -6,7 +6,7 @@ import trimesh
 
 import meshskin as ms
 from meshskin.core.errors import MeshError
-from meshskin.geometry.mesh.dual_mesh import surface_nets
+from meshskin.geometry.surface.closing import surface_nets
 from meshskin.robot import collision
 
 THICKNESS, FEATURE = 2e-3, 6e-3

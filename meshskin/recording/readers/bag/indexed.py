@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Self
+from typing import Self
 
 from ....core.errors import RecordingError
-from .records import UNDEFINED, Connection, Torn, decoder, has_header, register_files
+from .records import Bag, Connection, Torn, register_files
 
 SUFFIXES = {"ros1": ".bag", "sqlite": ".db3", "mcap": ".mcap"}
 """Suffixes by which rosbags knows the formats."""
@@ -26,7 +26,7 @@ def require_rosbags(path: Path) -> None:
         ) from error
 
 
-class IndexedBag:
+class IndexedBag(Bag):
     """A bag that rosbags opens, as a context manager.
 
     Opening and reading raise Torn where rosbags finds it damaged or does not know it.
@@ -57,25 +57,20 @@ class IndexedBag:
                 raise
             except Exception as error:  # which errors damaged files raise is not documented
                 raise _torn(error) from error
-            self._store: Any = self._reader.typestore
+            self.store = self._reader.typestore
             self._take_topics()
-            register_files(self._store, self.files, self.types.values())
+            register_files(self.store, self.files, self.types.values())
             self._stack = self._stack.pop_all()
         return self
 
     def _take_topics(self) -> None:
         encoding = "cdr" if self._reader.is2 else "ros1"
-        self.counts: dict[str, int] = {}
-        self.types: dict[str, str] = {}
+        self.counts, self.connections = {}, {}
         for one in self._reader.connections:
             if not (isinstance(one.topic, str) and isinstance(one.msgtype, str)):
                 raise Torn("a topic has no name")
             self.counts[one.topic] = self.counts.get(one.topic, 0) + one.msgcount
-            self.types[one.topic] = one.msgtype
-        self._by_topic = {
-            topic: Connection(0, topic, kind, encoding, "", UNDEFINED)
-            for topic, kind in self.types.items()
-        }
+            self.connections[one.topic] = Connection(0, one.topic, one.msgtype, encoding)
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
@@ -94,14 +89,6 @@ class IndexedBag:
             if data is None:
                 raise Torn("a message has no data")
             yield connection.topic, time, data
-
-    def decoder(self, topic: str) -> Callable[[bytes], Any]:
-        """The function that makes messages of the data of a topic; it raises RecordingError."""
-        return decoder(self._store, self._by_topic[topic])
-
-    def has_header(self, topic: str) -> bool:
-        """Whether the first field of the messages is a std_msgs/Header."""
-        return has_header(self._store, self.types[topic])
 
 
 def _torn(error: Exception) -> Torn:

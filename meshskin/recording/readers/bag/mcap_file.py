@@ -14,8 +14,17 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-from ....core.errors import RecordingError
-from .records import IDL, MSG, UNDEFINED, Connection, Record, Torn, read_exactly
+from .records import (
+    IDL,
+    MSG,
+    UNDEFINED,
+    Connection,
+    Record,
+    Torn,
+    read_exactly,
+    unknown_codec,
+    unpacked_lz4,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
@@ -113,12 +122,7 @@ def _decompress(content: bytes, compression: str, path: Path) -> bytes:
     if compression == "":
         return content
     if compression == "lz4":
-        from lz4.frame import LZ4FrameDecompressor
-
-        try:
-            return bytes(LZ4FrameDecompressor().decompress(content))
-        except RuntimeError as error:
-            raise Torn from error
+        return unpacked_lz4(content)
     if compression == "zstd":
         if sys.version_info >= (3, 14):
             from compression import zstd
@@ -128,12 +132,8 @@ def _decompress(content: bytes, compression: str, path: Path) -> bytes:
             return bytes(zstd.ZstdDecompressor().decompress(content))
         except zstd.ZstdError as error:
             raise Torn from error
-    raise RecordingError(
-        f"{path.name} is compressed by a codec that is not read",
-        value=compression,
-        limit="none, lz4 or zstd",
-        remedy="compress it anew (mcap compress --compression zstd)",
-    )
+    remedy = "compress it anew (mcap compress --compression zstd)"
+    raise unknown_codec(path, compression, "none, lz4 or zstd", remedy)
 
 
 def _text(stream: BinaryIO) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, Protocol
+from typing import Any, BinaryIO, NamedTuple
 
 from ....core.errors import RecordingError
 
@@ -51,24 +51,55 @@ def read_exactly(stream: BinaryIO, length: int) -> bytes:
     return found
 
 
-class Bag(Protocol):
-    """An open bag."""
+def unpacked_lz4(content: bytes) -> bytes:
+    """The content of a chunk, as far as it is there. Raises Torn if it is damaged."""
+    from lz4.frame import LZ4FrameDecompressor
 
+    try:
+        return bytes(LZ4FrameDecompressor().decompress(content))
+    except RuntimeError as error:
+        raise Torn from error
+
+
+def unknown_codec(path: Path, codec: str, known: str, remedy: str) -> RecordingError:
+    """The error for a compression that is not read."""
+    return RecordingError(
+        f"{path.name} is compressed by a codec that is not read",
+        value=codec,
+        limit=known,
+        remedy=remedy,
+    )
+
+
+class Bag:
+    """Base of open bags."""
+
+    connections: dict[str, Connection]
+    """One connection of each topic."""
     counts: dict[str, int]
     """Messages by topic."""
-    types: dict[str, str]
-    """Message type by topic."""
     notes: list[str]
     """What there is to say of the reading."""
+    store: Any
+    """The types of the messages, of rosbags."""
+
+    @property
+    def types(self) -> dict[str, str]:
+        """Message type by topic."""
+        return {topic: one.type for topic, one in self.connections.items()}
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of receipt (ns) and data of the messages of some topics."""
+        raise NotImplementedError
 
     def decoder(self, topic: str) -> Callable[[bytes], Any]:
         """The function that makes messages of the data of a topic; it raises RecordingError."""
+        return decoder(self.store, self.connections[topic])
 
     def has_header(self, topic: str) -> bool:
         """Whether the first field of the messages is a std_msgs/Header."""
+        known = self.store.fielddefs.get(self.connections[topic].type, ((), ()))[1][:1]
+        return bool(known) and "std_msgs/msg/Header" in str(known[0])
 
 
 def typestore(connections: Iterable[Connection], files: Collection[Path]) -> Any:
@@ -168,31 +199,22 @@ def decoder(store: Any, connection: Connection) -> Callable[[bytes], Any]:
     return decode
 
 
-def has_header(store: Any, message_type: str) -> bool:
-    """Whether the first field of a type is a std_msgs/Header."""
-    if message_type not in store.fielddefs:
-        return False
-    first = store.fielddefs[message_type][1][:1]
-    return bool(first) and "std_msgs/msg/Header" in str(first[0])
-
-
-class ScannedBag:
+class ScannedBag(Bag):
     """A bag whose records are read one by one, in the order of the file, up to a torn end."""
 
     def __init__(self, paths: Collection[Path], records: Any, files: Collection[Path]) -> None:
         self.paths, self.records = paths, records
         self.notes: list[str] = []
-        self.connections: dict[tuple[Path, int], Connection] = {}
+        self._by_key: dict[tuple[Path, int], Connection] = {}
         self.counts: dict[str, int] = {}
         for path, one in self._all():
             if isinstance(one, Connection):
-                self.connections[path, one.key] = one
+                self._by_key[path, one.key] = one
                 self.counts.setdefault(one.topic, 0)
-            elif connection := self.connections.get((path, one.key)):
+            elif connection := self._by_key.get((path, one.key)):
                 self.counts[connection.topic] += 1
-        self.types = {one.topic: one.type for one in self.connections.values()}
-        self._by_topic = {one.topic: one for one in self.connections.values()}
-        self._store = typestore(self.connections.values(), files)
+        self.connections = {one.topic: one for one in self._by_key.values()}
+        self.store = typestore(self._by_key.values(), files)
 
     def _all(self) -> Iterator[tuple[Path, Connection | Record]]:
         """Connections and messages; no message that is the last one before damage, whose data may
@@ -223,14 +245,6 @@ class ScannedBag:
         """Topic, time of receipt (ns) and data of the messages of some topics."""
         for path, one in self._all():
             if isinstance(one, Record):
-                connection = self.connections.get((path, one.key))
+                connection = self._by_key.get((path, one.key))
                 if connection is not None and connection.topic in topics:
                     yield connection.topic, one.time, one.data
-
-    def decoder(self, topic: str) -> Callable[[bytes], Any]:
-        """The function that makes messages of the data of a topic; it raises RecordingError."""
-        return decoder(self._store, self._by_topic[topic])
-
-    def has_header(self, topic: str) -> bool:
-        """Whether the first field of the messages is a std_msgs/Header."""
-        return has_header(self._store, self.types[topic])

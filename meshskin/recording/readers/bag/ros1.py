@@ -13,8 +13,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-from ....core.errors import RecordingError
-from .records import MSG, Connection, Record, Torn, read_exactly
+from .records import MSG, Connection, Record, Torn, read_exactly, unknown_codec, unpacked_lz4
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, CHUNK, CONNECTION = 2, 5, 7
@@ -105,18 +104,9 @@ def _decompress(content: bytes, compression: str, path: Path) -> bytes:
     if compression == "bz2":
         return bz2.BZ2Decompressor().decompress(content)
     if compression == "lz4":
-        from lz4.frame import LZ4FrameDecompressor
-
-        try:
-            return bytes(LZ4FrameDecompressor().decompress(content))
-        except RuntimeError as error:
-            raise Torn from error
-    raise RecordingError(
-        f"{path.name} is compressed by a codec that is not read",
-        value=compression,
-        limit="none, bz2 or lz4",
-        remedy="decompress it (rosbag decompress)",
-    )
+        return unpacked_lz4(content)
+    remedy = "decompress it (rosbag decompress)"
+    raise unknown_codec(path, compression, "none, bz2 or lz4", remedy)
 
 
 def _header(stream: BinaryIO) -> dict[str, bytes]:
