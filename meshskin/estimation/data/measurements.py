@@ -92,6 +92,8 @@ class Measurements:
     unevenness: Array = field(default_factory=lambda: np.empty(0))
     """Parts (m,) of the peak pressures by which those of the contacts differ over edges
     (`patch_shape.over_edges`); empty: none, or the response is yet to be learned."""
+    edge_readings: int = 0
+    """Readings over edges that `unevenness` was estimated from; 0: it is that of the heights."""
     edge_error: float | None = None
     """`LearnedResponse.edge_error`; None: not learned."""
     time: Array = field(default_factory=lambda: np.empty(0))
@@ -327,15 +329,13 @@ class Measurements:
     def rest(self) -> Array:
         """What each taxel (n,) reads in most contacts, Pa; the threshold where it is silent."""
         order, middle = np.lexsort((-self.pressure, self.taxel)), len(self.points) // 2
-        often = self.counts > middle
-        level = np.full(len(self.ids), self.threshold)
+        often, level = self.counts > middle, np.full(len(self.ids), self.threshold)
         level[often] = self.pressure[order[self.by_taxel[1][often] + middle]]
         return level
 
     @cached_property
     def distance(self) -> Array:
-        """Distance (k,), m, from contact to taxel by each reading (paper, eq. 15), under circular
-        patches."""
+        """Distance (k,), m, from contact to taxel by each reading (paper, eq. 15), in circles."""
         a = self.radii[self.contact]
         return a * invert_disc_mean(self.pressure / self.peaks[self.contact], self.disc / a)
 

@@ -26,7 +26,7 @@ from ..trilateration import coactivation, trilaterate
 from .fault_detection import name_left_out, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .module_parametrization import align_modules
-from .noise import with_estimated_noise
+from .noise import with_estimated_edges, with_estimated_noise
 from .optimum import Optimum
 from .outlier_rejection import reject_outliers, without_misfitting_contacts
 from .parametrization import Parametrization, SurfaceParametrization
@@ -60,7 +60,9 @@ def optimum(
     estimator, reasons, restarted = _converged(
         data, start, iterations, tolerance, trilaterated, stage
     )
-    if (noisy := with_estimated_noise(data, estimator)) is not data:
+    if (noisy := with_estimated_noise(data, estimator)) is data:
+        noisy = with_estimated_edges(data, estimator)
+    if noisy is not data:
         stage.expect(USUAL_STEPS)
         return optimum(noisy, start, iterations, tolerance, trilaterated, stage)
     stuck, live, rivals = stuck_taxels(data), estimator.live, resolve_rivals(estimator)
