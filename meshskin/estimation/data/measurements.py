@@ -92,8 +92,6 @@ class Measurements:
     unevenness: Array = field(default_factory=lambda: np.empty(0))
     """Parts (m,) of the peak pressures by which those of the contacts differ over edges
     (`patch_shape.over_edges`); empty: none, or the response is yet to be learned."""
-    edge_readings: int = 0
-    """Readings over edges that `unevenness` was estimated from; 0: it is that of the heights."""
     edge_error: float | None = None
     """`LearnedResponse.edge_error`; None: not learned."""
     time: Array = field(default_factory=lambda: np.empty(0))

@@ -23,7 +23,7 @@ from .. import chart
 from ..data.measurements import Measurements
 from ..result import EstimatorResult, name_rivals
 from ..trilateration import coactivation, trilaterate
-from .fault_detection import name_left_out, stuck_taxels
+from .fault_detection import misfitting_taxels, name_left_out, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .module_parametrization import align_modules
 from .noise import with_estimated_edges, with_estimated_noise
@@ -60,11 +60,10 @@ def optimum(
     estimator, reasons, restarted = _converged(
         data, start, iterations, tolerance, trilaterated, stage
     )
-    if (noisy := with_estimated_noise(data, estimator)) is data:
-        noisy = with_estimated_edges(data, estimator)
-    if noisy is not data:
+    if (noisy := with_estimated_noise(data, estimator)) is not data:
         stage.expect(USUAL_STEPS)
         return optimum(noisy, start, iterations, tolerance, trilaterated, stage)
+    estimator = _with_edges(estimator)
     stuck, live, rivals = stuck_taxels(data), estimator.live, resolve_rivals(estimator)
     points = estimator.problem.points(estimator.state)
     name_rivals(estimator.faults, live, points, rivals.points)
@@ -80,6 +79,26 @@ def optimum(
     return _without_misfitting_contacts(found, start, iterations, tolerance)
 
 
+def _with_edges(estimator: JointEstimator) -> JointEstimator:
+    """The estimate with the errors over edges that it shows, from where it is; contacts of taxels
+    that then misfit keep those that the heights of the body let expect."""
+    data = with_estimated_edges(estimator)
+    if data is estimator.data:
+        return estimator
+    try:
+        found = estimator.with_data(data)
+        readings = found.likelihood.readings
+        bad = misfitting_taxels(readings, found.residuals(), 1.0)
+        if not len(bad):
+            return found
+        rows = readings.contact[np.isin(readings.taxel, bad)]
+        unevenness = data.unevenness.copy()
+        unevenness[rows] = estimator.data.unevenness[rows]
+        return estimator.with_data(replace(data, unevenness=unevenness))
+    except CalibrationError:
+        return estimator
+
+
 def _without_misfitting_contacts(
     found: Optimum, start: EstimatorResult | None, iterations: int, tolerance: float
 ) -> Optimum:
@@ -91,8 +110,9 @@ def _without_misfitting_contacts(
     fewer = without_misfitting_contacts(estimator, fit.noise / estimator.data.sigma)
     if fewer is estimator.data:
         return found
-    # with gains only where they are needed
-    fewer = replace(fewer, parameters=found.declared.parameters)
+    # with gains only where they are needed, and edges as at the start
+    declared = found.declared
+    fewer = replace(fewer, parameters=declared.parameters, unevenness=declared.unevenness)
     try:
         estimator.stage.expect(USUAL_STEPS)
         again = optimum(fewer, start, iterations, tolerance, stage=estimator.stage)

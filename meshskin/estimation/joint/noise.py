@@ -108,7 +108,7 @@ def with_estimated_noise(data: Measurements, estimator: JointEstimator) -> Measu
     return data if len(silent) > MAX_SILENT * len(data.pressure) else noisy
 
 
-def with_estimated_edges(data: Measurements, estimator: JointEstimator) -> Measurements:
+def with_estimated_edges(estimator: JointEstimator) -> Measurements:
     """The data with the errors over edges that a converged estimate of them shows, no larger than
     the heights there let expect; the same where the noise is not known, and where the residuals of
     all edges show such errors.
@@ -117,7 +117,8 @@ def with_estimated_edges(data: Measurements, estimator: JointEstimator) -> Measu
     whether the edge is one of the body or of its mesh alone. The mean square of the residuals of
     the contacts near each, beyond the noise, is their variance, where it is not chance.
     """
-    if data.noise is None or data.edge_readings or not data.edges:
+    data = estimator.data
+    if data.noise is None or not data.edges:
         return data
     from scipy.spatial import cKDTree
 
@@ -151,7 +152,7 @@ def with_estimated_edges(data: Measurements, estimator: JointEstimator) -> Measu
     part = np.where(least > MAX_CHANCE * expected, 1.0, np.minimum(part, 1.0))
     unevenness = data.unevenness.copy()
     unevenness[over] *= np.sqrt(part)
-    return replace(data, unevenness=unevenness, edge_readings=len(rows))
+    return replace(data, unevenness=unevenness)
 
 
 def estimate_noise(estimator: JointEstimator, reduced: SchurComplement) -> Noise:
