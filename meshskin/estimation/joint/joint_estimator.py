@@ -157,16 +157,6 @@ class JointEstimator:
         grown = float(self.data.longest.max()) * abs(np.exp(log_radius) - np.exp(before))
         return bool(moved + grown < REACH_MARGIN / 2)
 
-    def with_data(self, data: Measurements) -> JointEstimator:
-        """The estimate converged on other data of the same readings and unknowns, from here."""
-        other = self.trial()
-        other.data, other.contacts = data, LinearizedContacts(data, self.state.s)
-        other.relinearize(
-            self.problem.parametrization, self.state.s, self.state.z, select_anew=True
-        )
-        other.converge()
-        return other
-
     def start_at(self, points: Array, select_anew: bool = False) -> None:
         """Linearize single taxels at other points (n, 3), m; s and nuisance parameters are kept."""
         parametrization = self.problem.parametrization

@@ -23,6 +23,7 @@ from .. import chart
 from ..data.measurements import Measurements
 from ..result import EstimatorResult, name_rivals
 from ..trilateration import coactivation, trilaterate
+from .contacts import LinearizedContacts
 from .fault_detection import misfitting_taxels, name_left_out, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .module_parametrization import align_modules
@@ -86,7 +87,7 @@ def _with_edges(estimator: JointEstimator) -> JointEstimator:
     if data is estimator.data:
         return estimator
     try:
-        found = estimator.with_data(data)
+        found = _converged_on(estimator, data)
         readings = found.likelihood.readings
         bad = misfitting_taxels(readings, found.residuals(), 1.0)
         if not len(bad):
@@ -94,9 +95,18 @@ def _with_edges(estimator: JointEstimator) -> JointEstimator:
         rows = readings.contact[np.isin(readings.taxel, bad)]
         unevenness = data.unevenness.copy()
         unevenness[rows] = estimator.data.unevenness[rows]
-        return estimator.with_data(replace(data, unevenness=unevenness))
+        return _converged_on(estimator, replace(data, unevenness=unevenness))
     except CalibrationError:
         return estimator
+
+
+def _converged_on(estimator: JointEstimator, data: Measurements) -> JointEstimator:
+    """The estimate converged on other data of the same readings and unknowns, from where it is."""
+    found, state = estimator.trial(), estimator.state
+    found.data, found.contacts = data, LinearizedContacts(data, state.s)
+    found.relinearize(estimator.problem.parametrization, state.s, state.z, select_anew=True)
+    found.converge()
+    return found
 
 
 def _without_misfitting_contacts(
