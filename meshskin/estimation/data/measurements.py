@@ -322,15 +322,13 @@ class Measurements:
     def rest(self) -> Array:
         """What each taxel (n,) reads in most contacts, Pa; the threshold where it is silent."""
         order, middle = np.lexsort((-self.pressure, self.taxel)), len(self.points) // 2
-        often = self.counts > middle
-        level = np.full(len(self.ids), self.threshold)
+        often, level = self.counts > middle, np.full(len(self.ids), self.threshold)
         level[often] = self.pressure[order[self.by_taxel[1][often] + middle]]
         return level
 
     @cached_property
     def distance(self) -> Array:
-        """Distance (k,), m, from contact to taxel by each reading (paper, eq. 15), under circular
-        patches."""
+        """Distance (k,), m, from contact to taxel by each reading (paper, eq. 15), in circles."""
         a = self.radii[self.contact]
         return a * invert_disc_mean(self.pressure / self.peaks[self.contact], self.disc / a)
 

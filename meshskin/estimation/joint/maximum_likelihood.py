@@ -23,10 +23,11 @@ from .. import chart
 from ..data.measurements import Measurements
 from ..result import EstimatorResult, name_rivals
 from ..trilateration import coactivation, trilaterate
-from .fault_detection import name_left_out, stuck_taxels
+from .contacts import LinearizedContacts
+from .fault_detection import misfitting_taxels, name_left_out, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .module_parametrization import align_modules
-from .noise import with_estimated_noise
+from .noise import with_estimated_edges, with_estimated_noise
 from .optimum import Optimum
 from .outlier_rejection import reject_outliers, without_misfitting_contacts
 from .parametrization import Parametrization, SurfaceParametrization
@@ -63,6 +64,7 @@ def optimum(
     if (noisy := with_estimated_noise(data, estimator)) is not data:
         stage.expect(USUAL_STEPS)
         return optimum(noisy, start, iterations, tolerance, trilaterated, stage)
+    estimator = _with_edges(estimator)
     stuck, live, rivals = stuck_taxels(data), estimator.live, resolve_rivals(estimator)
     points = estimator.problem.points(estimator.state)
     name_rivals(estimator.faults, live, points, rivals.points)
@@ -78,6 +80,35 @@ def optimum(
     return _without_misfitting_contacts(found, start, iterations, tolerance)
 
 
+def _with_edges(estimator: JointEstimator) -> JointEstimator:
+    """The estimate with the errors over edges that it shows, from where it is; contacts of taxels
+    that then misfit keep those that the heights of the body let expect."""
+    data = with_estimated_edges(estimator)
+    if data is estimator.data:
+        return estimator
+    try:
+        found = _converged_on(estimator, data)
+        readings = found.likelihood.readings
+        bad = misfitting_taxels(readings, found.residuals(), 1.0)
+        if not len(bad):
+            return found
+        rows = readings.contact[np.isin(readings.taxel, bad)]
+        unevenness = data.unevenness.copy()
+        unevenness[rows] = estimator.data.unevenness[rows]
+        return _converged_on(estimator, replace(data, unevenness=unevenness))
+    except CalibrationError:
+        return estimator
+
+
+def _converged_on(estimator: JointEstimator, data: Measurements) -> JointEstimator:
+    """The estimate converged on other data of the same readings and unknowns, from where it is."""
+    found, state = estimator.trial(), estimator.state
+    found.data, found.contacts = data, LinearizedContacts(data, state.s)
+    found.relinearize(estimator.problem.parametrization, state.s, state.z, select_anew=True)
+    found.converge()
+    return found
+
+
 def _without_misfitting_contacts(
     found: Optimum, start: EstimatorResult | None, iterations: int, tolerance: float
 ) -> Optimum:
@@ -89,8 +120,9 @@ def _without_misfitting_contacts(
     fewer = without_misfitting_contacts(estimator, fit.noise / estimator.data.sigma)
     if fewer is estimator.data:
         return found
-    # with gains only where they are needed
-    fewer = replace(fewer, parameters=found.declared.parameters)
+    # with gains only where they are needed, and edges as at the start
+    declared = found.declared
+    fewer = replace(fewer, parameters=declared.parameters, unevenness=declared.unevenness)
     try:
         estimator.stage.expect(USUAL_STEPS)
         again = optimum(fewer, start, iterations, tolerance, stage=estimator.stage)

@@ -42,6 +42,17 @@ MAX_ITERATIONS = 10
 """Largest number of estimates: which readings are clear of the threshold depends on the noise."""
 TOLERANCE = 0.01
 """Relative change of the noise at which it has converged."""
+EDGE_NEAR = 2.0
+"""Distance, in contact radii, within which contacts over an edge tell of its errors: those whose
+patches overlap."""
+EDGE_SIGMAS = 2.0
+"""Excess of the residuals over edges, in its standard deviations, up to which it is chance."""
+MAX_PART = 0.1
+"""Part of the expected variance over all edges of a recording up to which single ones may have
+less: thin layers have 0.2 and more (patch_shape.EDGE_ERROR)."""
+MAX_CHANCE = 0.5
+"""That excess, relative to what the heights let expect, from which the residuals are too few to
+tell."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +106,53 @@ def with_estimated_noise(data: Measurements, estimator: JointEstimator) -> Measu
     normals = parametrization.rotations()[:, :, 2]
     silent = silent_pairs(noisy, estimator.live, parametrization.points(), normals, 1.0)[0]
     return data if len(silent) > MAX_SILENT * len(data.pressure) else noisy
+
+
+def with_estimated_edges(estimator: JointEstimator) -> Measurements:
+    """The data with the errors over edges that a converged estimate of them shows, no larger than
+    the heights there let expect; the same where the noise is not known, and where the residuals of
+    all edges show such errors.
+
+    Heights of the surface bound these errors; how large they are depends on the layer, and on
+    whether the edge is one of the body or of its mesh alone. The mean square of the residuals of
+    the contacts near each, beyond the noise, is their variance, where it is not chance.
+    """
+    data = estimator.data
+    if data.noise is None or not data.edges:
+        return data
+    from scipy.spatial import cKDTree
+
+    readings, r = estimator.likelihood.readings, estimator.residuals()
+    clear = clear_of_limits(predictions(readings, r, data), data)
+    clear &= (readings.kind == OBSERVED) & ~outliers(readings) & ~estimator.broken[readings.taxel]
+    rows = np.flatnonzero(clear & (data.unevenness[readings.contact] > 0))
+    reduced = estimator.problem.reduce(estimator.state)
+    leverage = estimator.problem.leverages(estimator.state, reduced)[rows]
+    contact, over = readings.contact[rows], np.flatnonzero(data.unevenness)
+    alike, variance = data.alike[contact], data.edge_variance[contact]
+    each = np.stack(
+        [
+            r[rows] ** 2 / readings.precision[rows],
+            1.0 - leverage,
+            alike * (1.0 - leverage),
+            variance * np.maximum(1.0 - alike * leverage, 0.0),
+        ]
+    )
+    sums = np.stack([np.bincount(contact, one, len(data.points))[over] for one in each], axis=1)
+    square, noise, _, expected = sums.sum(axis=0)
+    if square - noise > MAX_PART * expected:
+        return data
+    tree = cKDTree(data.points[over])
+    near = tree.query_ball_point(data.points[over], EDGE_NEAR * data.radii[over])
+    square, noise, chance, expected = np.array([sums[k].sum(axis=0) for k in near]).T
+    excess, expected = square - noise, np.maximum(expected, 1e-300)
+    scale = np.maximum(square / np.maximum(noise, 1e-300), 1.0)
+    least = EDGE_SIGMAS * np.sqrt(2.0 * chance) * scale
+    part = np.where(excess > least, excess + least, 0.0) / expected
+    part = np.where(least > MAX_CHANCE * expected, 1.0, np.minimum(part, 1.0))
+    unevenness = data.unevenness.copy()
+    unevenness[over] *= np.sqrt(part)
+    return replace(data, unevenness=unevenness)
 
 
 def estimate_noise(estimator: JointEstimator, reduced: SchurComplement) -> Noise:

@@ -21,6 +21,7 @@ from meshskin.estimation.next_contact import next_contacts
 from meshskin.estimation.online.frames import RecordedFrames
 from meshskin.estimation.online.known_response import KnownResponse
 from meshskin.estimation.trilateration.trilaterate import with_noise_off_edges
+from meshskin.estimation.uncertainty import metrics
 from meshskin.geometry.region import Cap
 from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
 
@@ -268,10 +269,10 @@ def test_contacts_are_alike_among_all_that_came(belief):
     assert gather(recording(1, 150), believed).alike.max() < data.alike.max()
 
 
-@pytest.mark.slow
-def test_readings_over_edges_do_not_make_others_outlying():
-    """Ripples are within every patch. This world has no errors there, so that the residuals of the
-    readings over them are small beside the deviation that they are given."""
+@pytest.fixture(scope="module")
+def rippled():
+    """A scene on a capsule with ripples within every patch, and its recording. This world has no
+    errors there."""
     mesh = ms.Body.capsule(0.03, 0.1, faces=6000).mesh.copy()
     height = 0.3e-3 * np.sin(2 * np.pi * mesh.vertices[:, 2] / 14e-3)
     mesh.vertices = mesh.vertices + height[:, None] * mesh.vertex_normals
@@ -285,6 +286,24 @@ def test_readings_over_edges_do_not_make_others_outlying():
         loop=replace(base.loop, mode="quasi_static"),
         exploration=replace(base.exploration, pattern="lanes", lane_spacing=2.5e-3),
     )
-    found = ms.calibrate(ms.simulate(scene, seed=1), scene.belief(noise_sigma=None))
+    return scene, ms.simulate(scene, seed=1)
+
+
+def test_readings_over_edges_do_not_make_others_outlying(rippled):
+    """Residuals of the readings over the ripples are small beside the deviation that these are
+    given."""
+    scene, recorded = rippled
+    found = ms.calibrate(recorded, scene.belief(noise_sigma=None))
     assert not any(found.faults)
     assert found.fit.noise == pytest.approx(scene.belief().noise_sigma, rel=0.15)
+
+
+def test_edges_that_cause_no_misfit_cost_nothing(rippled):
+    """Weighed by the heights there, the error was 1.51 times the bound."""
+    scene, recorded = rippled
+    data = gather(recorded, scene.belief())
+    assert data.edges > 0.5 * len(data.points)
+    found = ms.calibrate(recorded, scene.belief())
+    bound = metrics.cramer_rao(recorded, scene.belief(), scene.skin).covariance
+    ratio = np.sum(metrics.position_errors(found, scene.skin) ** 2)
+    assert ratio < 1.2**2 * np.trace(bound, axis1=1, axis2=2).sum()

@@ -296,12 +296,12 @@ def test_a_motion_points_where_the_contact_points_were_moved():
     np.testing.assert_allclose(found.at(points).mean(axis=0), moved, atol=1e-6)
 
 
-@pytest.mark.parametrize(("shifted", "least"), [(True, 0.8), (False, 0.6)])
-def test_motions_of_an_egg_are_counted(shifted, least):
-    """Shifts and turns about the middle, alike in size, as they are expected before: they are
-    stated as large as they are, whatever slides along the surface. Turns alone are not what is
-    expected, and one about a normal of the patch has no distances: 0.75 of them is stated in the
-    mean of 96. 24 motions have a standard deviation of 0.03 about it."""
+@pytest.mark.parametrize("shifted", [True, False])
+def test_motions_of_an_egg_are_counted(shifted):
+    """Shifts and turns about the middle, alike in size, and turns alone, are stated as large as
+    they are, whatever slides along the surface: the turns are 6 to 13 times the distances that
+    they leave. Where these had to be those of a displacement alone, 0.75 of the turns was stated in
+    the mean of 96, and single ones as a tenth."""
     mesh = trimesh.creation.icosphere(4)
     mesh.vertices *= np.array([0.06, 0.05, 0.045]) * (1 + 0.15 * mesh.vertices[:, 2:])
     body = ms.Body.from_mesh(mesh)
@@ -326,7 +326,8 @@ def test_motions_of_an_egg_are_counted(shifted, least):
         true.append(np.sum(((points - there.point)[:, None] @ along) ** 2, axis=(1, 2)).mean())
         stated.append(np.einsum("nij,nji->n", along, squares).mean())
     assert np.sqrt(np.median(true)) > 0.4e-3
-    assert least < np.sqrt(np.mean(stated) / np.mean(true)) < 1.25
+    assert 0.8 < np.sqrt(np.mean(stated) / np.mean(true)) < 1.25
+    assert np.max(np.divide(true, stated)) < 4.0**2
 
 
 @pytest.mark.parametrize("seed", range(3))
