@@ -70,6 +70,19 @@ def test_the_weight_of_a_tool_is_subtracted(kind):
     assert note.startswith("/wrench carries 0.8 kg that turn with the link link5")
 
 
+def test_zeros_of_joints_and_a_tilted_base_are_found_with_the_weight():
+    """Joints that are a degree off turn the weight by 0.14 N, a base on its feet by as much."""
+    world = stroking(4, vertical=(0.012, -0.012, np.sqrt(1 - 2 * 0.012**2)))
+    touched, truth = world[1], world[2]
+    world[4][:] -= np.radians([1, -1, 1, 1, -1, 1])
+    force, (note,) = found(world, ms.Robot.from_urdf(PUMA))
+    assert note.startswith("/wrench carries 0.8 kg")
+    touch = np.cumsum(np.diff(np.flatnonzero(touched), prepend=0) > 1)
+    errors = (force - truth)[touched]
+    shared = [np.median(errors[touch == k]) for k in np.unique(touch)]
+    assert np.sqrt(np.mean(np.square(shared))) < 0.02
+
+
 def test_without_the_robot_the_weight_is_named_as_a_cause():
     world = stroking(2)
     force, (note,) = found(world, None)
