@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..core.errors import ConfigError
 from . import body_options
-from .options import real, refuse
+from .options import add_part, check_part, load_skin, real, refuse
 
 if TYPE_CHECKING:
     from ..scene.belief import Belief
@@ -76,6 +76,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     known.add_argument(
         "--taxels", type=Path, metavar="FILE", help="skin file that lists the ids of all taxels"
     )
+    add_part(known)
     known.add_argument(
         "--modules",
         action="store_true",
@@ -128,6 +129,7 @@ def belief_of(options: argparse.Namespace, taxel_ids: ArrayLike) -> Belief:
 
     if options.raw:
         _check_raw(options)
+    check_part(options.part, options.taxels, getattr(options, "previous", None))
     belief = _by_scene(options) if options.scene else _by_options(options)
     kilo = {
         "noise_sigma": options.noise_kpa,
@@ -146,9 +148,7 @@ def belief_of(options: argparse.Namespace, taxel_ids: ArrayLike) -> Belief:
     if options.modules:
         changes["module_slots"] = slots.OFFSETS
     if options.taxels is not None:
-        from ..skin.skin import Skin
-
-        changes["taxel_ids"] = np.array(Skin.load(options.taxels).ids)
+        changes["taxel_ids"] = np.array(load_skin(options.taxels, options.part).ids)
     elif not options.scene:
         changes["taxel_ids"] = np.array(taxel_ids, dtype=int)
     if options.response_groups is not None:

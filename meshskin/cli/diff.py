@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.errors import ConfigError
-from .options import integer
+from .options import add_part, check_part, integer, load_skin
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,7 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("a", type=Path, metavar="A", help="first skin file or calibration")
     parser.add_argument("b", type=Path, metavar="B", help="second one")
-    parser.add_argument("--part", help="skin to read from URDF and MJCF files with several")
+    add_part(parser)
     parser.add_argument("--all", action="store_true", help="print long lists in full")
     parser.add_argument(
         "--worst",
@@ -46,14 +45,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Print the comparison."""
-    from ..skin import files
     from ..skin.compare import compare
 
-    if options.part is not None and not any(map(files.has_parts, (options.a, options.b))):
-        raise ConfigError(
-            "--part chooses a skin of a URDF or MJCF file", value=f"--part {options.part}",
-            remedy="leave it out",
-        )  # fmt: skip
+    check_part(options.part, options.a, options.b)
     a, b = (_skin(path, options.part) for path in (options.a, options.b))
     difference = compare(a, b)
     for name, path, skin in (("A", options.a, a), ("B", options.b, b)):
@@ -69,11 +63,10 @@ def command(options: argparse.Namespace) -> int:
 def _skin(path: Path, part: str | None) -> Skin:
     """The skin of a file, or the determined taxels of a calibration. Raises SkinError."""
     from ..estimation.calibration import Calibration
-    from ..skin import files
     from ..skin.skin import Skin
 
     if (file := saved_calibration(path)) is None:
-        return Skin.load(path, part if files.has_parts(path) else None)
+        return load_skin(path, part)
     found = Calibration.load(file)
     good = np.isfinite(found.positions).all(axis=1)
     return Skin(found.poses[good], found.ids[good])

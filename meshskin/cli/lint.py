@@ -10,6 +10,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .options import add_part
+
 if TYPE_CHECKING:
     from ..skin.lint import Defect
 
@@ -20,7 +22,7 @@ SHOWN = 12
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("file", type=Path, metavar="FILE", help="skin file in any supported format")
-    parser.add_argument("--part", help="skin to read from a URDF or MJCF file with several")
+    add_part(parser)
     parser.add_argument("--all", action="store_true", help="print long lists in full")
 
 

@@ -135,9 +135,14 @@ def _words(one: StreamMap) -> str:
 
 
 def first_map(could: dict[str, list[StreamMap]], messages: list[Path]) -> LogMap:
-    """The likeliest kind of every stream, with ids of taxels that do not repeat."""
+    """The likeliest kind of every stream, with ids of taxels that do not repeat.
+
+    Raises ConfigError where no stream is recognized.
+    """
     from dataclasses import replace
 
+    from ..core.arguments import repr_short
+    from ..core.errors import ConfigError
     from ..recording.log_map import LogMap
 
     streams, taxels = [], 0
@@ -147,6 +152,12 @@ def first_map(could: dict[str, list[StreamMap]], messages: list[Path]) -> LogMap
                 one = replace(one, first_id=taxels)
                 taxels += one.length or 0
             streams.append(one)
+    if not streams:
+        raise ConfigError(
+            "no stream of the log is recognized",
+            value=repr_short(sorted(could)),
+            remedy="see with meshskin log whether they have samples, or write the map by hand",
+        )
     return LogMap(tuple(streams), tuple(messages))
 
 

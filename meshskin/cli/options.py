@@ -5,9 +5,14 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.arguments import check_real
 from ..core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from ..skin.skin import Skin
 
 OPTIONS = {"open=True": "--open", " (scan=True)": "", 'kind="collision"': "--link-mesh collision"}
 """Words of messages on arguments in Python, and those for the command line."""
@@ -69,3 +74,27 @@ def refuse(
     """Raise ConfigError where one of the options was given; `what` is wrong, {} those given."""
     if found := given(options, names):
         raise ConfigError(what.replace("{}", found), remedy=remedy)
+
+
+def add_part(parser: argparse._ActionsContainer) -> None:
+    """Add --part."""
+    parser.add_argument("--part", help="skin to read from a URDF or MJCF file with several")
+
+
+def check_part(part: str | None, *paths: Path | None) -> None:
+    """Raise ConfigError where --part is given and none of the files can have several skins."""
+    from ..skin import files
+
+    if part is not None and not any(path is not None and files.has_parts(path) for path in paths):
+        raise ConfigError(
+            "--part chooses a skin of a URDF or MJCF file", value=f"--part {part}",
+            remedy="leave it out",
+        )  # fmt: skip
+
+
+def load_skin(path: Path, part: str | None) -> Skin:
+    """The skin of a file; `part` counts for formats with several. Raises SkinError."""
+    from ..skin import files
+    from ..skin.skin import Skin
+
+    return Skin.load(path, part if files.has_parts(path) else None)

@@ -22,7 +22,7 @@ import numpy as np
 from ..core.errors import CalibrationError, ConfigError
 from . import belief_options
 from .diff import saved_calibration
-from .options import integer, real, refuse
+from .options import integer, load_skin, real, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def command(options: argparse.Namespace) -> int:
     if options.recording is None:
         names = ("false_alarm", "map_sigma_mm", "all")
         refuse(options, names, "{} is for the test of a map", "give RECORDING, too")
-    previous = earlier_map(options.previous)
+    previous = earlier_map(options.previous, options.part)
     belief = belief_options.belief_of(options, previous.ids)
     recording = None if options.recording is None else Recording.load(options.recording)
     planning = replace(belief, force_reference=_force(options, belief, recording))
@@ -120,13 +120,12 @@ def _force(options: argparse.Namespace, belief: Belief, recording: Recording | N
     return float(np.median(recording.force))
 
 
-def earlier_map(path: Path) -> Calibration | Skin:
-    """The calibration saved at `path` or in that folder, or the skin of a file."""
+def earlier_map(path: Path, part: str | None = None) -> Calibration | Skin:
+    """The calibration saved at `path` or in that folder, or the skin `part` of a file."""
     from ..estimation.calibration import Calibration
-    from ..skin.skin import Skin
 
     file = saved_calibration(path)
-    return Skin.load(path) if file is None else Calibration.load(file)
+    return load_skin(path, part) if file is None else Calibration.load(file)
 
 
 def save(design: TouchDesign, path: Path) -> None:

@@ -106,7 +106,7 @@ def summary(result: Result, folder: Path) -> str:
         *filter(None, [force.get("departure"), m.get("budget", {}).get("above")]),
         *([in_options(str(calibration.verdict))] if calibration.verdict is not None else []),
         f"{m['scene']}: {found} of {m['taxels']} taxels calibrated from "
-        f"{m['readings']} readings in {m['contacts']} contacts",
+        f"{calibration.readings.sum()} of {m['readings']} readings in {m['contacts']} contacts",
         *_errors(m),
         row("force", f"{force['mean_n']:.4f} N, {', '.join(force_notes(force))}"),
     ]

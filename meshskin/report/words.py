@@ -42,5 +42,5 @@ def force_notes(force: Mapping[str, Any]) -> list[str]:
     if force.get("departure"):
         notes.append("left its reference later: see above")
     elif (sliding := force.get("disturbance")) is not None:
-        notes.append(f"then within {100 * sliding:.2g} %")
+        notes.append(f"then within {max(100 * sliding, 0.1):.2g} %")
     return notes

@@ -56,6 +56,24 @@ def test_a_run_leaves_everything(run):
             assert (run / "figures" / (figure + suffix)).stat().st_size > 1000
 
 
+def test_the_summary_counts_the_readings_that_were_used(run):
+    """Fewer than were recorded where contacts or readings are left out."""
+    from pathlib import Path
+    from types import SimpleNamespace
+
+    from meshskin.cli.run import summary
+    from meshskin.estimation.calibration import Calibration
+    from meshskin.recording.recording import Recording
+
+    found = Calibration.load(run / "calibration")
+    used = replace(found, readings=found.readings - 1)
+    metrics = json.loads((run / "metrics.json").read_text())
+    recording = Recording.load(run / "recording")
+    given = {"metrics": metrics, "calibration": used, "recording": recording}
+    said = summary(SimpleNamespace(**given), Path("out"))
+    assert f"from {used.readings.sum()} of {metrics['readings']} readings in" in said
+
+
 def test_metrics_hold_the_contract_and_the_paper_is_beaten(run):
     m = json.loads((run / "metrics.json").read_text())
     assert m["taxels"] == m["touched"] == 80

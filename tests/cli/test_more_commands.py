@@ -134,6 +134,14 @@ def test_init_says_that_a_log_needs_no_map(tmp_path, monkeypatch, capsys):
     assert "--units is for a mesh, got log; leave it out" in capsys.readouterr().err
 
 
+def test_init_names_the_columns_of_a_log_that_none_is_recognized_of(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bare.csv").write_text("time,left,right\n")  # no row
+    assert cli.main(["init", "bare.csv"]) == 2
+    assert "no stream of the log is recognized, got ['left', 'right']" in capsys.readouterr().err
+    assert not (tmp_path / "bare_map.toml").exists()
+
+
 def test_init_says_what_a_log_lacks(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = ["time", "cx", "dy", "ez", *(f"cell{k}" for k in range(5))]

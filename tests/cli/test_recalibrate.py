@@ -49,6 +49,24 @@ def test_touches_are_planned_without_a_recording(files, capsys):
     assert "3 touches" in capsys.readouterr().out
 
 
+def test_a_part_of_a_urdf_file_is_chosen(files, tmp_path, capsys):
+    """As PREVIOUS and with --taxels; a part of files that have none is refused."""
+    ms.Skin.load(files / "map.csv").save(tmp_path / "map.urdf")
+    joint = """<link name="wrist"/><link name="wrist_skin_7"/><joint name="wrist_skin_7_fixed_joint"
+      type="fixed"><parent link="wrist"/><child link="wrist_skin_7"/></joint></robot>"""
+    text = (tmp_path / "map.urdf").read_text().replace("</robot>", joint)
+    (tmp_path / "both.urdf").write_text(text)
+    asked = ["--scene", "sphere_noisy", "--out", str(tmp_path / "out"), "--touches", "2"]
+    both, part = str(tmp_path / "both.urdf"), ["--part", "map"]
+    assert cli.main(["recalibrate", both, *asked]) == 2
+    assert "limit: map, wrist" in capsys.readouterr().err
+    assert cli.main(["recalibrate", both, *asked, *part]) == 0
+    table = str(files / "map.csv")
+    assert cli.main(["recalibrate", table, *asked, *part]) == 2
+    assert "--part chooses a skin of a URDF" in capsys.readouterr().err
+    assert cli.main(["recalibrate", table, *asked, "--taxels", both, *part]) == 0
+
+
 def test_a_force_is_given_or_that_of_the_touches(files, tmp_path, capsys):
     """A belief of options has no reference force."""
     scene, out = ms.Scene.load("sphere_noisy"), tmp_path / "out"

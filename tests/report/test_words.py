@@ -23,6 +23,7 @@ def test_the_force_is_said_as_far_as_it_is_known():
     force = {"reference_n": 3.0, "settling_s": 0.0449, "overshoot": 0.123, "disturbance": 0.006}
     said = ["reference 3 N", "settled in 44.9 ms", "overshoot 12.3 %", "then within 0.6 %"]
     assert force_notes(force) == said
+    assert force_notes(force | {"disturbance": 2e-7})[-1] == "then within 0.1 %"
     left = {"departure": "37 N", "settling_s": np.inf, "overshoot": 0.0}
     assert force_notes(left) == [
         "not settled before it slides", "no overshoot", "left its reference later: see above",

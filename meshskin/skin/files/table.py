@@ -274,7 +274,7 @@ def chosen_part(part: str | None, parts: Mapping[str, object], name: str) -> str
         raise SkinError(
             f"{name} has several parts" if part is None else f"{name} has no part {part!r}",
             limit=", ".join(parts),
-            remedy="choose one with part= (--part of lint and diff), or give a file of one",
+            remedy="choose one with part= (--part), or give a file of one",
         )
     return part
 
