@@ -81,6 +81,10 @@ class Heights:
     """Depths (m,), m, of the indentations by the believed material."""
     mesh_error: MeshError = field(default_factory=MeshError)
     """Error of the body's surface."""
+    touch: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
+    """Number (m,) of the touch of each contact; empty: each contact is a touch of its own."""
+    level: float = 0.0
+    """Standard deviation, m, of the depth in a touch by a force that was not measured."""
 
     @property
     def precision(self) -> Array:
@@ -127,9 +131,7 @@ class Heights:
         (r, jacobian, points), damping = self.residuals(x), 1e-3
         for _ in range(MAX_ITERATIONS):
             scatter = _scatter(r)
-            weight = huber_weights(r, scatter)
-            alike = design_effect(points, weight * r)
-            weight = weight / alike
+            weight, alike = self._weights(r, jacobian, points)
             hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
             gradient = jacobian.T @ (weight * r) + pulls * x
             if gradient @ np.linalg.solve(hessian, gradient) < CONVERGED**2:
@@ -173,6 +175,30 @@ class Heights:
             found = self.residuals(x)
         return x, found
 
+    def _weights(self, r: Array, jacobian: Array, points: Array) -> tuple[Array, float]:
+        """Precisions (m,), 1/m^2, of the heights with residuals r (m,) and derivatives `jacobian`
+        (m, K + 1), and their design effect, by which these are divided.
+
+        Residuals are alike in a cell of the body by errors of its surface, and in a touch by its
+        force. The fit takes up as many touches as it determines unknowns; where that leaves less
+        than half of them, their residuals do not show what they share, and `level` is taken.
+        """
+        scatter, alike = _scatter(r), 1.0
+        weight = huber_weights(r, scatter)
+        if len(self.touch):
+            touches, count = np.unique(self.touch), np.bincount(self.touch)
+            data = jacobian.T @ (weight[:, None] * jacobian)
+            free = len(touches) - np.trace(np.linalg.solve(data + np.diag(self.precision), data))
+            alike = design_effect(self.touch, weight * r)
+            if free > len(touches) / 2:
+                alike *= len(touches) / free
+            else:
+                contacts = float(np.sum(count**2) / np.sum(count))  # in a touch
+                alike = max(alike, 1 + contacts * (self.level / scatter) ** 2)
+        cells = np.unique(np.floor(points / CELL), axis=0, return_inverse=True)[1].ravel()
+        alike = max(alike, design_effect(cells, weight * r))
+        return weight / alike, alike
+
     def with_depth(self, s: Array) -> Array:
         """x (K + 1,) of the unknowns s (K,) with the depths that they leave to the contacts."""
         r = self.residuals(np.append(s, 0.0))[0]
@@ -182,12 +208,11 @@ class Heights:
     def linearized(self, x: Array) -> LinearizedHeights:
         """The unknowns by heights that are linear about x (K + 1,).
 
-        Residuals that are alike in a cell of the body count as fewer, and those in a cell share the
-        error of the mesh. Delays that the heights hardly tell stay as they were known before.
+        Residuals that are alike in a cell of the body, or in a touch, count as fewer, and those in a
+        cell share the error of the mesh. Delays that the heights hardly tell stay as they were known before.
         """
         r, jacobian, points = self.residuals(x)
-        weight, count = huber_weights(r, _scatter(r)), len(x) - 1
-        weight = weight / design_effect(points, weight * r)
+        weight, count = self._weights(r, jacobian, points)[0], len(x) - 1
         weighted = self.mesh_error.without(points, weight, jacobian)
         hessian = jacobian.T @ weighted + np.diag(self.precision)
         gradient = weighted.T @ r + self.precision * x
@@ -252,9 +277,8 @@ def _cost(r: Array, scatter: float) -> float:
     return huber_cost(r / scatter)
 
 
-def design_effect(points: Array, residuals: Array, size: float = CELL) -> float:
-    """Variance of the mean of residuals (m,) that are alike in a cell of the body, of a size in m,
-    in relation to that of independent ones; at least 1. points (m, 3), m."""
-    cells = np.unique(np.floor(points / size), axis=0, return_inverse=True)[1].ravel()
-    sums = sums_by_group(residuals, cells)
+def design_effect(group: np.ndarray, residuals: Array) -> float:
+    """Variance of the mean of residuals (m,) that are alike in a group (m,), in relation to that of
+    independent ones; at least 1."""
+    sums = sums_by_group(residuals, group)
     return max(1.0, float(np.sum(sums**2) / max(np.sum(residuals**2), 1e-300)))
