@@ -32,7 +32,6 @@ from ...scene.contact_motion import ContactMotion
 from ..calibrate import calibrate
 from ..calibration import Calibration
 from ..data.patch_shape import fitting, over_patches
-from ..learned.deviations import UNMEASURED_FORCE
 from .clock import first_offset
 from .heights import Heights, depths, surface_heights, timed_by_the_fastest
 from .joint_residuals import joint_residuals
@@ -55,8 +54,6 @@ anew, and chosen anew where the log has no forces: a tenth of a contact's radius
 which frames are one contact (steady.ALIKE)."""
 CLOCK_FITS = 2
 """Fits of the clock and the heights in turn: the delays of joints do not change after the first."""
-DEPTH_PER_FORCE = 2 / 3
-"""Exponent of the force in the depth of an indentation (Hertz)."""
 HEIGHT_FITS = 2
 """Fits of the heights, each with depths at the contacts of the last one: depths change little."""
 
@@ -218,8 +215,7 @@ def _started(
         timed = timed_by_the_fastest(kinematics, path, time, belief.body)
         begin = on_clock.time[[touch.start for touch in on_clock.contacts]]
         touch = np.searchsorted(begin, used.time, side="right")
-        level = 0.0 if log.force is not None else DEPTH_PER_FORCE * UNMEASURED_FORCE * depth
-        heights, x = _heights(timed, path, time, belief, force, touch, level)
+        heights, x = _heights(timed, path, time, belief, force, touch)
         s = x[:-1]
     return used, clock, heights, x
 
@@ -236,10 +232,8 @@ def _heights(
     belief: Belief,
     force: Array,
     touch: np.ndarray,
-    level: float,
 ) -> tuple[Heights, Array]:
-    """The heights of the contacts, and x (K + 1,) that meets them; touch and level: as of Heights.
-    """
+    """The heights of the contacts, and x (K + 1,) that meets them; touch (m,): as of Heights."""
     x = np.zeros(len(kinematics.labels) + 1)
     for _ in range(HEIGHT_FITS):
         centres, _ = kinematics.centres(path, time, x[:-1])
@@ -248,7 +242,7 @@ def _heights(
         depth = depths(belief, hit.curvature, force)
         error = MeshError.of(belief.body, hit, belief.surface_sigma)
         heights = Heights(
-            kinematics, path, time, belief.body, belief.indenter.radius, depth, error, touch, level
+            kinematics, path, time, belief.body, belief.indenter.radius, depth, error, touch
         )
         x = heights.fit(x)
     return heights, x

@@ -13,6 +13,7 @@ information.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -41,6 +42,9 @@ would pass for information."""
 MAX_SCATTER = 3e-3
 """Largest standard deviation of the heights, m, of a body that is where it is believed: more than
 the depth of an indentation."""
+STROKE = 2.0
+"""Time, s, in which the force of a touch is alike. Chosen: that of a stroke; controllers of a force
+correct it within a second."""
 LOG_DEPTH = 0.7
 """Standard deviation of the logarithm of the depths: that of E* within a factor e, as
 `PRIORS["modulus"]`, of which the depth is the power -2/3."""
@@ -83,8 +87,6 @@ class Heights:
     """Error of the body's surface."""
     touch: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Number (m,) of the touch of each contact; empty: each contact is a touch of its own."""
-    level: float = 0.0
-    """Standard deviation, m, of the depth in a touch by a force that was not measured."""
 
     @property
     def precision(self) -> Array:
@@ -179,25 +181,36 @@ class Heights:
         """Precisions (m,), 1/m^2, of the heights with residuals r (m,) and derivatives `jacobian`
         (m, K + 1), and their design effect, by which these are divided.
 
-        Residuals are alike in a cell of the body by errors of its surface, and in a touch by its
-        force. The fit takes up as many touches as it determines unknowns; where that leaves less
-        than half of them, their residuals do not show what they share, and `level` is taken.
+        Residuals are alike in a cell of the body by errors of its surface, and in a stroke by its
+        force. The fit takes up as many strokes as it determines unknowns.
         """
-        scatter, alike = _scatter(r), 1.0
-        weight = huber_weights(r, scatter)
-        if len(self.touch):
-            touches, count = np.unique(self.touch), np.bincount(self.touch)
-            data = jacobian.T @ (weight[:, None] * jacobian)
-            free = len(touches) - np.trace(np.linalg.solve(data + np.diag(self.precision), data))
-            alike = design_effect(self.touch, weight * r)
-            if free > len(touches) / 2:
-                alike *= len(touches) / free
-            else:
-                contacts = float(np.sum(count**2) / np.sum(count))  # in a touch
-                alike = max(alike, 1 + contacts * (self.level / scatter) ** 2)
+        weight, strokes = huber_weights(r, _scatter(r)), self._strokes
         cells = np.unique(np.floor(points / CELL), axis=0, return_inverse=True)[1].ravel()
-        alike = max(alike, design_effect(cells, weight * r))
+        alike = max(design_effect(group, weight * r) for group in (cells, strokes))
+        if free := self._free_strokes(weight, jacobian):
+            count = int(strokes.max()) + 1
+            alike = max(alike, design_effect(strokes, weight * r) * count / free)
         return weight / alike, alike
+
+    @cached_property
+    def _strokes(self) -> np.ndarray:
+        """Number (m,) of the stroke of each contact: a touch is several if it is longer than
+        STROKE; each contact is its own where the touches are not given."""
+        if not len(self.touch):
+            return np.arange(len(self.time))
+        begin = np.full(int(self.touch.max()) + 1, np.inf)
+        np.minimum.at(begin, self.touch, self.time)
+        part = (self.time - begin[self.touch]) // STROKE
+        pairs = np.column_stack([self.touch, part])
+        return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].ravel())
+
+    def _free_strokes(self, weight: Array, jacobian: Array) -> float:
+        """Strokes less the unknowns that heights of precisions `weight` (m,) and derivatives
+        `jacobian` (m, K + 1) determine; 0 where that leaves less than half of the strokes, whose
+        residuals do not show the errors that they share."""
+        data, count = jacobian.T @ (weight[:, None] * jacobian), int(self._strokes.max()) + 1
+        free = count - float(np.trace(np.linalg.solve(data + np.diag(self.precision), data)))
+        return free if free > count / 2 else 0.0
 
     def with_depth(self, s: Array) -> Array:
         """x (K + 1,) of the unknowns s (K,) with the depths that they leave to the contacts."""
@@ -208,8 +221,9 @@ class Heights:
     def linearized(self, x: Array) -> LinearizedHeights:
         """The unknowns by heights that are linear about x (K + 1,).
 
-        Residuals that are alike in a cell of the body, or in a touch, count as fewer, and those in a
-        cell share the error of the mesh. Delays that the heights hardly tell stay as they were known before.
+        Residuals that are alike in a cell of the body, or in a stroke, count as fewer, and those in
+        a cell share the error of the mesh. Delays that the heights hardly tell stay as they were
+        known before.
         """
         r, jacobian, points = self.residuals(x)
         weight, count = self._weights(r, jacobian, points)[0], len(x) - 1
