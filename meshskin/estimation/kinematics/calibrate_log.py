@@ -213,7 +213,9 @@ def _started(
         used = steady(on_clock, frames, centres, above, depth, belief.indenter.radius)
         time, force = used.time - clock, _forces(used, reference)
         timed = timed_by_the_fastest(kinematics, path, time, belief.body)
-        heights, x = _heights(timed, path, time, belief, force)
+        begin = on_clock.time[[touch.start for touch in on_clock.contacts]]
+        touch = np.searchsorted(begin, used.time, side="right")
+        heights, x = _heights(timed, path, time, belief, force, touch)
         s = x[:-1]
     return used, clock, heights, x
 
@@ -229,8 +231,9 @@ def _heights(
     time: Array,
     belief: Belief,
     force: Array,
+    touch: np.ndarray,
 ) -> tuple[Heights, Array]:
-    """The heights of the contacts, and x (K + 1,) that meets them."""
+    """The heights of the contacts, and x (K + 1,) that meets them; touch (m,): as of Heights."""
     x = np.zeros(len(kinematics.labels) + 1)
     for _ in range(HEIGHT_FITS):
         centres, _ = kinematics.centres(path, time, x[:-1])
@@ -238,7 +241,9 @@ def _heights(
         hit = fitting(hit, belief.indenter.radius)  # before the fit, contacts are anywhere
         depth = depths(belief, hit.curvature, force)
         error = MeshError.of(belief.body, hit, belief.surface_sigma)
-        heights = Heights(kinematics, path, time, belief.body, belief.indenter.radius, depth, error)
+        heights = Heights(
+            kinematics, path, time, belief.body, belief.indenter.radius, depth, error, touch
+        )
         x = heights.fit(x)
     return heights, x
 

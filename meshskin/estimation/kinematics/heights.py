@@ -13,6 +13,7 @@ information.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +40,9 @@ CONVERGED = 0.1
 MAX_SCATTER = 3e-3
 """Largest standard deviation of the heights, m, of a body that is where it is believed: more than
 the depth of an indentation."""
+STROKE = 2.0
+"""Time, s, in which the force of a touch is alike. Chosen: that of a stroke; controllers of a force
+correct it within a second."""
 LOG_DEPTH = 0.7
 """Standard deviation of the logarithm of the depths: that of E* within a factor e, as
 `PRIORS["modulus"]`, of which the depth is the power -2/3."""
@@ -79,6 +83,8 @@ class Heights:
     """Depths (m,), m, of the indentations by the believed material."""
     mesh_error: MeshError = field(default_factory=MeshError)
     """Error of the body's surface."""
+    touch: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
+    """Number (m,) of the touch of each contact; empty: each contact is a touch of its own."""
 
     @property
     def precision(self) -> Array:
@@ -126,9 +132,7 @@ class Heights:
         (r, jacobian, points), damping = self.residuals(x), 1e-3
         for _ in range(MAX_ITERATIONS):
             scatter = _scatter(r)
-            weight = huber_weights(r, scatter)
-            alike = design_effect(points, weight * r)
-            weight = weight / alike
+            weight, alike = self._weights(r, jacobian, points)
             hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
             gradient = jacobian.T @ (weight * r) + pulls * x
             if gradient @ np.linalg.solve(hessian, gradient) < CONVERGED**2:
@@ -172,6 +176,40 @@ class Heights:
             found = self.residuals(x)
         return x, found
 
+    def _weights(self, r: Array, jacobian: Array, points: Array) -> tuple[Array, float]:
+        """Precisions (m,), 1/m^2, of the heights with residuals r (m,) and derivatives `jacobian`
+        (m, K + 1), and their design effect, by which these are divided.
+
+        Residuals are alike in a cell of the body by errors of its surface, and in a stroke by its
+        force. The fit takes up as many strokes as it determines unknowns.
+        """
+        weight, strokes = huber_weights(r, _scatter(r)), self._strokes
+        alike = max(design_effect(group, weight * r) for group in (cells(points), strokes))
+        if free := self._free_strokes(weight, jacobian):
+            count = int(strokes.max()) + 1
+            alike = max(alike, design_effect(strokes, weight * r) * count / free)
+        return weight / alike, alike
+
+    @cached_property
+    def _strokes(self) -> np.ndarray:
+        """Number (m,) of the stroke of each contact: a touch is several if it is longer than
+        STROKE; each contact is its own where the touches are not given."""
+        if not len(self.touch):
+            return np.arange(len(self.time))
+        begin = np.full(int(self.touch.max()) + 1, np.inf)
+        np.minimum.at(begin, self.touch, self.time)
+        part = (self.time - begin[self.touch]) // STROKE
+        pairs = np.column_stack([self.touch, part])
+        return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].ravel())
+
+    def _free_strokes(self, weight: Array, jacobian: Array) -> float:
+        """Strokes less the unknowns that heights of precisions `weight` (m,) and derivatives
+        `jacobian` (m, K + 1) determine; 0 where that leaves less than half of the strokes, whose
+        residuals do not show the errors that they share."""
+        data, count = jacobian.T @ (weight[:, None] * jacobian), int(self._strokes.max()) + 1
+        free = count - float(np.trace(np.linalg.solve(data + np.diag(self.precision), data)))
+        return free if free > count / 2 else 0.0
+
     def with_depth(self, s: Array) -> Array:
         """x (K + 1,) of the unknowns s (K,) with the depths that they leave to the contacts."""
         r = self.residuals(np.append(s, 0.0))[0]
@@ -181,12 +219,12 @@ class Heights:
     def linearized(self, x: Array) -> LinearizedHeights:
         """The unknowns by heights that are linear about x (K + 1,).
 
-        Residuals that are alike in a cell of the body count as fewer, and those in a cell share the
-        error of the mesh. Delays that the heights hardly tell stay as they were known before.
+        Residuals that are alike in a cell of the body, or in a stroke, count as fewer, and those in
+        a cell share the error of the mesh. Delays that the heights hardly tell stay as they were
+        known before.
         """
         r, jacobian, points = self.residuals(x)
-        weight, count = huber_weights(r, _scatter(r)), len(x) - 1
-        weight = weight / design_effect(points, weight * r)
+        weight, count = self._weights(r, jacobian, points)[0], len(x) - 1
         weighted = self.mesh_error.without(points, weight, jacobian)
         hessian = jacobian.T @ weighted + np.diag(self.precision)
         gradient = weighted.T @ r + self.precision * x
@@ -245,8 +283,8 @@ def _cost(r: Array, scatter: float) -> float:
     return huber_cost(r / scatter)
 
 
-def design_effect(points: Array, residuals: Array) -> float:
-    """Variance of the mean of residuals (m,) that are alike in a cell of the body, in relation to
-    that of independent ones; at least 1. points (m, 3), m."""
-    sums = sums_by_group(residuals, cells(points))
+def design_effect(group: np.ndarray, residuals: Array) -> float:
+    """Variance of the mean of residuals (m,) that are alike in a group (m,), in relation to that of
+    independent ones; at least 1."""
+    sums = sums_by_group(residuals, group)
     return max(1.0, float(np.sum(sums**2) / max(np.sum(residuals**2), 1e-300)))
