@@ -120,8 +120,6 @@ def with_estimated_edges(estimator: JointEstimator) -> Measurements:
     data = estimator.data
     if data.noise is None or not data.edges:
         return data
-    from scipy.spatial import cKDTree
-
     readings, r = estimator.likelihood.readings, estimator.residuals()
     clear = clear_of_limits(predictions(readings, r, data), data)
     clear &= (readings.kind == OBSERVED) & ~outliers(readings) & ~estimator.broken[readings.taxel]
