@@ -22,7 +22,7 @@ def modulus_words(found: Calibration, between: str = "±") -> str:
     if sigma is None:
         return f"{value:.6g} kPa, given"
     sigma /= 1e3
-    decimals = max(1 - math.floor(math.log10(sigma)), 0) if sigma > 0 else 3  # those of sigma
+    decimals = max(1 - math.floor(math.log10(sigma)), 0) if 0 < sigma < math.inf else 3  # of sigma
     return f"{value:.{decimals}f} {between} {sigma:.2g} kPa"
 
 

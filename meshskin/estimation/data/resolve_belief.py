@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -108,11 +109,7 @@ def in_range(
     modulus: float | None = None,
 ) -> np.ndarray:
     """Contacts (m,) bool at which the model holds; arguments as `nominal_patches`."""
-    modulus = belief.material.effective_modulus if modulus is None else modulus
-    radius = belief.indenter.radius
-    return model.is_valid(
-        force=force, curvature=curvature, indenter_radius=radius, effective_modulus=modulus
-    )
+    return model.is_valid(**_loads(belief, force, curvature, modulus))
 
 
 def nominal_patches(
@@ -123,8 +120,14 @@ def nominal_patches(
     modulus: float | None = None,
 ) -> contact.Patches:
     """Patches of forces (m,), N, at curvatures (m, 2), 1/m, and E*, Pa, by default the nominal."""
-    modulus = belief.material.effective_modulus if modulus is None else modulus
-    radius = belief.indenter.radius
-    return model.patches(
-        force=force, curvature=curvature, indenter_radius=radius, effective_modulus=modulus
-    )
+    return model.patches(**_loads(belief, force, curvature, modulus))
+
+
+def _loads(belief: Belief, force: Array, curvature: Array, modulus: float | None) -> dict[str, Any]:
+    """The arguments of a contact model under a belief."""
+    return {
+        "force": force,
+        "curvature": curvature,
+        "indenter_radius": belief.indenter.radius,
+        "effective_modulus": belief.material.effective_modulus if modulus is None else modulus,
+    }

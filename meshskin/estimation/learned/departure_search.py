@@ -221,9 +221,8 @@ def _scores(effects: RandomEffects) -> dict[str, tuple[float, Array]]:
         groups = response_groups(fitted)
         found = {GROUPS: (groups.score, groups.second), **found}
     rank = {name: score for name, (score, _) in found.items()}
-    for name in rank.keys() & set(
-        OWN_DEPARTURES
-    ):  # in all taxels alike another one can stand in for it
+    # a departure that is alike in all taxels can be another one
+    for name in rank.keys() & set(OWN_DEPARTURES):
         excess = max(rank[name], 0.0) * (2 * len(fitted.points)) ** 0.5
         rank[name] = (excess / 2) ** 0.5
     return {name: found[name] for name in sorted(found, key=lambda name: -rank[name])}

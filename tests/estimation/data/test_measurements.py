@@ -101,14 +101,20 @@ def test_late_readings_are_moved_to_their_contacts(world, frames):
     assert seen == [frames, 0]  # nine taxels may show it by chance
 
 
-def test_one_frame_shows_in_strokes_both_ways(world):
-    """0.5 mm a frame: the contacts of a taxel spread by 4 % more."""
-    whole = world.record(0.01, 0.05)
+def strokes_both_ways(whole):
+    """The order of the contacts with every second lane reversed, and these contacts."""
     jumps = np.linalg.norm(np.diff(whole.points, axis=0), axis=1) > 1e-3
     lane = np.cumsum(np.append(0, jumps))
     rows = [np.flatnonzero(lane == k) for k in range(lane[-1] + 1)]
     order = np.concatenate([row[::-1] if k % 2 else row for k, row in enumerate(rows)])
     contacts = whole.contacts.take(pa.array(order)).set_column(0, "time", pa.array(whole.time))
+    return order, contacts
+
+
+def test_one_frame_shows_in_strokes_both_ways(world):
+    """0.5 mm a frame: the contacts of a taxel spread by 4 % more."""
+    whole = world.record(0.01, 0.05)
+    order, contacts = strokes_both_ways(whole)
     for frames in (0, 1):
         row = np.argsort(order)[whole.reading_contact] + frames
         readings = whole.readings.filter(pa.array(row < len(order)))
@@ -120,11 +126,7 @@ def test_one_frame_shows_in_strokes_both_ways(world):
 def test_patches_that_are_dragged_along_are_not_late(world):
     """By 0.7 mm at 0.5 mm a frame, which one frame explains nearly as well."""
     whole = world.record(0.01, 0.05)
-    jumps = np.linalg.norm(np.diff(whole.points, axis=0), axis=1) > 1e-3
-    lane = np.cumsum(np.append(0, jumps))
-    rows = [np.flatnonzero(lane == k) for k in range(lane[-1] + 1)]
-    order = np.concatenate([row[::-1] if k % 2 else row for k, row in enumerate(rows)])
-    contacts = whole.contacts.take(pa.array(order)).set_column(0, "time", pa.array(whole.time))
+    order, contacts = strokes_both_ways(whole)
     time = pa.array(whole.time[np.argsort(order)[whole.reading_contact]])
     recording = Recording(contacts, whole.readings.set_column(0, "time", time), {})
     data = gather(recording, world.belief(0.01, 0.05))
