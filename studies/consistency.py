@@ -37,12 +37,13 @@ from setups import spiral
 import meshskin as ms
 from meshskin.core import se3
 from meshskin.core.atomic_io import write_json
+from meshskin.core.se3 import TURN_PER_METRE
 from meshskin.effects.body_pose import BodyPose
 from meshskin.effects.force_sensor import ForceSensor
 from meshskin.effects.gain_offset import GainOffset
 from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.effects.indenter_offset import IndenterOffset
-from meshskin.estimation.data.global_parameters import PRIORS, ROTATION
+from meshskin.estimation.data.global_parameters import PRIORS
 from meshskin.estimation.joint.module_parametrization import SURFACE_SIGMA
 from meshskin.estimation.uncertainty import metrics
 from meshskin.estimation.uncertainty.observability import TILT_SIGMA
@@ -342,7 +343,7 @@ def prior(label: str, belief: ms.Belief) -> float:
     """Standard deviation of a shared unknown before any data."""
     name = label.split()[0]
     sigma = belief.priors.get(name, PRIORS[name])
-    return sigma * ROTATION if "rotation" in label else sigma
+    return sigma * TURN_PER_METRE if "rotation" in label else sigma
 
 
 def pose_errors(found: ms.Calibration, skin: ms.Skin) -> np.ndarray:

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 SHOWN = 20
 """Lines about exchanged ids that are printed without --all."""
-SAME = 1e-6
-"""Distance, m, within which positions count as equal: the last digit that skin files carry."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -82,13 +80,16 @@ def saved_calibration(path: Path) -> Path | None:
 
 def same(difference: Difference) -> bool:
     """Whether both skins have the same taxels at the same positions."""
+    from ..skin.files.table import LAST_DIGIT
+
     alone = len(difference.only_a) + len(difference.only_b)
-    return not alone and float(difference.unaligned.max(initial=0.0)) <= SAME
+    return not alone and float(difference.unaligned.max(initial=0.0)) <= LAST_DIGIT
 
 
 def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str]:
     """The lines of text that describe the comparison."""
     from ..core import se3
+    from ..skin.files.table import LAST_DIGIT
 
     d = difference
     entity = "module" if d.by_modules else "taxel"
@@ -120,7 +121,7 @@ def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str
         yield "this explains the difference: it removes at least half of it"
     else:
         yield "no exchange of ids explains a difference"
-    listed = [(taxel, off) for taxel, off in d.worst(worst) if off > SAME]
+    listed = [(taxel, off) for taxel, off in d.worst(worst) if off > LAST_DIGIT]
     if listed:
         yield f"worst {entity}s (mm): " + ", ".join(f"{t}: {1e3 * off:.3f}" for t, off in listed)
 

@@ -15,6 +15,10 @@ from .arrays import Array, cross
 if TYPE_CHECKING:
     import casadi as ca
 
+TURN_PER_METRE = 10.0
+"""Standard deviation of an unknown rotation, rad, per m of that of the translation beside it: the
+rotation that moves a point 0.1 m from the origin as far as the translation does."""
+
 
 def hat(w: ArrayLike) -> Array:
     """Cross-product matrices of vectors `w` (..., 3) -> (..., 3, 3)."""

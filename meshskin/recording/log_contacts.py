@@ -13,12 +13,11 @@ from dataclasses import replace
 import numpy as np
 import pyarrow as pa
 
-from ..core.arrays import Array
+from ..core.arrays import Array, robust_sigma
 from ..core.errors import RecordingError
 from ..robot.contact_kinematics import JointPath
 from .recording import CONTACT_SCHEMA, JOINT_ANGLES, NOMINAL, READING_SCHEMA, Recording
 from .skin_log import SkinLog
-from .tare import SIGMA_PER_MAD
 
 NOMINAL_FORCE = 1.0
 """Force, N, where neither log nor belief has one: the learned response scales with it."""
@@ -88,8 +87,8 @@ def _check_forces(force: Array, in_contact: np.ndarray) -> None:
     which these have none."""
     if in_contact.sum() < MIN_JUDGED:
         return
-    steps = np.abs(np.diff(force[np.isfinite(force)]))
-    noise = SIGMA_PER_MAD * float(np.median(steps)) / np.sqrt(2.0)
+    steps = np.diff(force[np.isfinite(force)])
+    noise = robust_sigma(steps) / np.sqrt(2.0)
     middle = float(np.median(force[in_contact]))
     if middle < -noise:
         raise RecordingError(

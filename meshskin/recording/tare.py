@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array, Index, runs
+from ..core.arrays import MAD, Array, Index, runs
 from ..core.errors import RecordingError
 from ..core.value import Value
 from .log_map import AUTO, FALLING
@@ -54,8 +54,6 @@ JUMP = 2.0
 SUDDEN = 0.15
 """Share of the readings between two levels, in the middle half of their difference, up to which the
 level jumped: a drift has 0.5, a contact that begins 0.02 and less."""
-SIGMA_PER_MAD = 1.4826
-"""Standard deviation of a normal variable per median absolute deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +210,7 @@ def _noise(values: NDArray[np.number], span: Array) -> Array:
     """Standard deviation of a reading at rest from the differences of consecutive ones, and the
     smallest that it can be, (2, t): that of the rounding, and FLOOR. span (t,): their ranges."""
     steps = np.abs(np.diff(values.astype(float), axis=0))
-    noise = SIGMA_PER_MAD * np.median(steps, axis=0) / np.sqrt(2.0)
+    noise = np.median(steps, axis=0) / (np.sqrt(2.0) * MAD)
     smallest = np.min(steps, axis=0, where=steps > 0, initial=np.inf)
     step = np.where(np.isfinite(smallest), smallest, 0.0)
     floor = np.maximum(step / np.sqrt(12.0), FLOOR * span)

@@ -27,7 +27,7 @@ from ..core.arguments import (
 )
 from ..core.arrays import Array
 from ..core.errors import ArmError, ConfigError, UnknownNameError
-from ..core.se3 import exp_so3, hat, is_rigid, left_jacobian, transform
+from ..core.se3 import TURN_PER_METRE, exp_so3, hat, is_rigid, left_jacobian, transform
 from .chain import Chain
 
 SIZES = {
@@ -61,9 +61,6 @@ USUAL = MappingProxyType(
     }
 )
 """What is not known of most robots. Mount and size of the body are hard to tell from these."""
-MOUNT_ROTATION = 10.0
-"""Standard deviation of the mount's rotation, rad, per m of that of its translation: the rotation
-that moves a point 0.1 m from the origin as far as the translation does."""
 MAX_GAP = 5.0
 """Longest step of a path, in typical steps, over which its angles are interpolated: a robot may
 stop, start or turn in a longer one."""
@@ -197,7 +194,7 @@ class ContactKinematics(NamedFields):
         for name, at in self.columns.items():
             out[at] = self.unknown[name]
             if name == "mount":
-                out[at][3:] *= MOUNT_ROTATION
+                out[at][3:] *= TURN_PER_METRE
         return out
 
     def value(self, name: str, s: Array) -> float:

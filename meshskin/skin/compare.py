@@ -13,6 +13,7 @@ from ..core.arguments import check_integer, check_type
 from ..core.arrays import Array, means_by_group, neighbour_distances
 from ..core.errors import SkinError
 from . import slots
+from .files.table import LAST_DIGIT
 from .pairing import Pairing, distances, pair, pairing_by_id
 from .skin import Skin
 from .slots import Ids
@@ -26,8 +27,6 @@ MIN_TAXELS = 3
 """Least mean number of ids in a module of a skin of taxels; modules of iCub have 10 or 12."""
 MIN_RESHAPED = 6
 """Taxels, at least, that show a mirror or a scale: 18 coordinates for 8 unknowns."""
-MIN_DIFFERENCE = 1e-6
-"""Rms distance, m, up to which there is no difference to explain: the last digit of skin files."""
 MIN_MOVED = 20
 """Number of permuted taxels from which on they are described by modules, if they moved with them:
 two modules."""
@@ -187,9 +186,9 @@ def reshape_of(at_a: Array, at_b: Array) -> Reshape | None:
             found.append((left, sign, scale, turn))
     rigid, least = found[0][0], min(fit[0] for fit in found)
     to_explain = min(rigid, rms(np.linalg.norm(a, axis=1)))
-    if to_explain <= MIN_DIFFERENCE or least > EXPLAINED * to_explain:
+    if to_explain <= LAST_DIGIT or least > EXPLAINED * to_explain:
         return None
-    limit = max(least / EXPLAINED, MIN_DIFFERENCE)  # the simplest of those that fit as well
+    limit = max(least / EXPLAINED, LAST_DIGIT)  # the simplest of those that fit as well
     _, sign, scale, turn = next(fit for fit in found if fit[0] <= limit)
     pose = np.eye(4)
     pose[:3, :3] = scale * turn

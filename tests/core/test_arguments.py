@@ -150,6 +150,7 @@ def test_messages_are_one_line_without_control_characters():
     [
         (lambda: ms.read_log(None), "a log must be a path, got None"),
         (lambda: ms.LogMap.load(None), "a map file must be a path, got None"),
+        (lambda: ms.lint(3), "a skin file must be a path, got 3"),
         (lambda: ms.Robot.from_urdf(None), "the URDF of a robot must be a path, got None"),
         (lambda: ms.layout(np.eye(4), spacing=5), r"got 5 m, limit: at most 0.1 m; give it in met"),
     ],

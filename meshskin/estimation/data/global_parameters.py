@@ -19,6 +19,7 @@ import numpy as np
 from ...contact.learned import PROFILE_SIZE
 from ...core.arrays import Array
 from ...core.errors import UnknownNameError
+from ...core.se3 import TURN_PER_METRE
 from ...scene.contact_motion import ContactMotion
 
 DRIFT_SIZE = 6
@@ -73,9 +74,9 @@ NUISANCE = ("gain", "offset", "drift", "skew")
 """Parameters of each taxel beside its position."""
 OWN_DEPARTURES = ("drift", "skew")
 """Those that are estimated only where the readings show them."""
-ROTATION = 10.0
-"""Standard deviation of the body's rotation, rad, per m of that of its translation: the rotation
-that moves a point 0.1 m from the origin as far as the translation does."""
+PRIOR_SIGMAS = 4.0
+"""Distance of a global parameter from zero, in standard deviations of its prior, from which it is
+not plausible: 6e-5 by chance."""
 LEARNED = ("modulus", "scale", "exponents", "aspect", "compression", "profile")
 """Global parameters of a learned response. "modulus" is then the size of the patch, "scale" the
 amplitude of the readings, both relative to the model's; the ratio of the semi-axes is the
@@ -272,7 +273,7 @@ def declared_parameters(
     names = tuple(name for name in SIZES if name in unknown)
     sigma = [np.full(SIZES[name], prior[name]) for name in names]
     if "body_offset" in names:
-        sigma[names.index("body_offset")][3:] *= ROTATION
+        sigma[names.index("body_offset")][3:] *= TURN_PER_METRE
     nuisance = tuple(name for name in NUISANCE if name in unknown)
     if motion is not None:
         names, sigma = (*names, MOTION), [*sigma, np.ones(motion.size)]

@@ -17,6 +17,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from .departures import FittedReadings
+from .residual_correlations import LEAST_SCORE
 
 LENGTHS = (0.5, 1.0, 2.0)
 """Lengths over which a field is correlated that are tried, in reaches of a contact."""
@@ -29,8 +30,6 @@ EXPLAINED = 1e-3
 linearization are of that size."""
 STEPS = 60
 """Deviations that are compared, at equal ratios."""
-LEAST_SCORE = 4.0
-"""Score, in standard deviations, from which covariances are widened: 1e-4 by chance, of three."""
 
 
 @dataclass(frozen=True)

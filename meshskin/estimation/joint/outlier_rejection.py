@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.arrays import Array
+from ...core.arrays import MAD, Array
 from ...core.errors import CalibrationError
 from ..data.measurements import Measurements
 from ..result import join_words
@@ -30,8 +30,8 @@ LEAST_DISPLACED = 0.02
 """Least displacement, in contact radii, of an outlying contact: smaller ones harm no estimate."""
 LEAST_FORCE = 0.5
 """Least error of ln F of an outlying contact: a force that is 1.6 times another is no scatter."""
-RAYLEIGH, HALF_NORMAL = 1.1774, 0.6745
-"""Median length of a vector of two standard normal variables, and of one of them."""
+RAYLEIGH = 1.1774
+"""Median length of a vector of two standard normal variables; that of one is MAD."""
 MAX_PRIOR_SIGMAS = 3.0
 """Gain or offset, in standard deviations of the prior, from which a taxel is faulty."""
 
@@ -106,7 +106,7 @@ def displaced_contacts(errors: Array, touched: np.ndarray, radii: Array) -> np.n
         max(faults.CUTOFF * float(np.median(x[touched])) / middle, least)
         for x, middle, least in (
             (size, RAYLEIGH, LEAST_DISPLACED * float(np.median(radii))),
-            (force, HALF_NORMAL, LEAST_FORCE),
+            (force, MAD, LEAST_FORCE),
         )
     )
     bad = np.flatnonzero(touched & ((size > next(limits)) | (force > next(limits))))

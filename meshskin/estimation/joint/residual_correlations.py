@@ -36,7 +36,8 @@ MAX_TAXELS, SCORED, FITTED = 100, 400, 60
 """Taxels, and readings of each, evenly chosen, whose scores count, and of whose errors variances
 are estimated: errors of the size of the noise have scores of 20 and more with so many."""
 LEAST_SCORE = 4.0
-"""Score, in standard deviations, from which covariances are widened: 2e-4 by chance, of six."""
+"""Score, in standard deviations, from which covariances are widened: 2e-4 by chance, of six lengths
+that are tried here; 1e-4 of the three of contact_fields.py."""
 HELD_SCORE, MAX_WIDENING = 10.0, 1.3
 """Score, and factor of the standard deviations, below which they hold the errors: elliptic patches
 of a foam that is learned on a cylinder have 7 to 9.6 and 1.2, and errors as stated; lines of a

@@ -11,7 +11,13 @@ from functools import partial
 import numpy as np
 
 from ...core.arrays import Array
-from ..data.global_parameters import ELECTRONICS, OWN_DEPARTURES, PRIORS, nuisance_unit
+from ..data.global_parameters import (
+    ELECTRONICS,
+    OWN_DEPARTURES,
+    PRIOR_SIGMAS,
+    PRIORS,
+    nuisance_unit,
+)
 from ..joint.departures import FILTER_SHARE, MIN_SCORE
 from ..joint.leaks import Leaks, crosstalk_score, leaking_pairs
 from ..joint.parametrization import Unknowns
@@ -22,9 +28,6 @@ from .first_response import with_first_response
 from .random_effects import RandomEffects
 from .response_groups import response_groups
 
-MAX_SIGMAS = 4.0
-"""Prior standard deviations from which the estimate of a departure is not plausible: 6e-5 by
-chance."""
 MAX_ROUNDS, SAME = 12, 0.05
 """Largest number of choices of the neighbours that crosstalk: places follow, and the choice them;
 and the change of their weights from which the choice is the same."""
@@ -206,7 +209,7 @@ def plausible(extended: RandomEffects, name: str) -> bool:
     if name == "skew":  # all channels are read within a frame: half of it is the largest deviation
         frame = np.linalg.norm(np.diff(extended.data.points, axis=0), axis=1)
         small = extended.deviations.skew <= float(np.median(frame)) / 2
-    return bool(small and np.all(np.abs(s) <= MAX_SIGMAS * sigma))
+    return bool(small and np.all(np.abs(s) <= PRIOR_SIGMAS * sigma))
 
 
 def _scores(effects: RandomEffects) -> dict[str, tuple[float, Array]]:

@@ -15,7 +15,13 @@ from ...core.arrays import Array
 from ...recording.recording import Recording
 from ..calibration import Calibration
 from ..data import delay
-from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_parameters
+from ..data.global_parameters import (
+    ELECTRONICS,
+    LEARNED,
+    PRIOR_SIGMAS,
+    SIZES,
+    declared_parameters,
+)
 from ..data.measurements import Measurements
 from ..data.patch_shape import MAX_EDGES
 from ..joint.departures import MIN_SCORE
@@ -23,7 +29,7 @@ from ..learned.contact_correlations import MAX_CORRELATION
 from . import mounted_anew, recorded_normals, second_places, swapped_axes, verdict, weighted_means
 from .contact_errors import SURFACE_DEPTHS, displacement, motion, nearer_points
 from .goodness_of_fit import STRONG
-from .verdict import DOUBT, FAIL, LEVELS, PASS, PRIOR_SIGMAS, Finding, Verdict, level_of
+from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
 
 MAX_MISFIT = 0.05
 """Residuals beyond the noise, relative to the strong readings, from which a model that does not fit

@@ -14,6 +14,7 @@ from ...core.arrays import Array, means_by_group
 from ...recording.recording import UNCOMPARED, Recording
 from ...scene.belief import RAW
 from ..data import delay
+from ..data.global_parameters import PRIOR_SIGMAS
 from ..data.measurements import Measurements
 from ..data.sensor_range import MAX_LOST, unanswered_contacts
 from ..learned.contact_correlations import KINDS
@@ -26,9 +27,6 @@ PASS, DOUBT, FAIL = LEVELS = ("PASS", "DOUBT", "FAIL")
 """Levels of a verdict: nothing found; check before use; do not use."""
 Finding = tuple[str, str]
 """A level and a sentence."""
-PRIOR_SIGMAS = 4.0
-"""Distance of a global parameter from zero, in standard deviations of its prior, from which it is a
-doubt: 6e-5 by chance."""
 MAX_SCALE = 1.6
 """Factor between the readings and the pressures of the contact model, as a learned response has it,
 from which it is a doubt. A layer of the thickness of the patch changes the peak by 1.3."""

@@ -19,6 +19,8 @@ from ..slots import CENTRE, PER_MODULE, THERMAL, Ids, module, slot
 DISC_RADIUS = 2e-3
 """Radius of the disc of a taxel where none is given, m: that of the paper's skin
 (bodies/sphere.toml)."""
+LAST_DIGIT = 1e-6
+"""Distance, m, up to which positions count as equal: the last digit that skin files carry."""
 FRAME_TOLERANCE = 1e-3
 """Largest difference between a normal and the z axis of its quaternion, and between a quaternion's
 norm and 1: four printed digits leave 1e-4."""

@@ -9,10 +9,7 @@ from numpy.typing import NDArray
 
 from ...core.arrays import Array, rows_by_key
 from .. import slots
-from ..files.table import SkinTable
-
-SAME_POSITION = 1e-6
-"""Distance below which two positions are equal, m: the last digit of printed files."""
+from ..files.table import LAST_DIGIT, SkinTable
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,7 @@ def distinct(table: SkinTable) -> SkinTable:
 
 def distinct_rows(points: Array) -> NDArray[np.intp]:
     """The first row of each of the distinct points (n, 3), in order."""
-    first = np.unique(np.round(points / SAME_POSITION), axis=0, return_index=True)[1]
+    first = np.unique(np.round(points / LAST_DIGIT), axis=0, return_index=True)[1]
     return np.sort(first)
 
 

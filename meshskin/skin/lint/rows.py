@@ -10,9 +10,8 @@ from scipy.spatial import KDTree
 
 from ...core.arrays import median_spacing, neighbour_distances
 from .. import slots
-from ..files.table import SkinTable
+from ..files.table import LAST_DIGIT, SkinTable
 from .defect import (
-    SAME_POSITION,
     Defect,
     defect,
     distinct,
@@ -122,7 +121,7 @@ def thermal(table: SkinTable) -> Iterator[Defect]:
 def duplicates(table: SkinTable) -> Iterator[Defect]:
     """Taxels at the same position."""
     rows = located(table)
-    pairs = KDTree(rows.positions).query_pairs(SAME_POSITION, output_type="ndarray")
+    pairs = KDTree(rows.positions).query_pairs(LAST_DIGIT, output_type="ndarray")
     if len(pairs):
         at = np.unique(pairs)
         distinct = len(distinct_rows(rows.positions))
