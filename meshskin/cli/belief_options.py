@@ -116,7 +116,7 @@ def _range(first: str, to: str, last: str) -> np.ndarray:
     """Ids from the first to the last, or the first alone. Raises ValueError for other texts."""
     low, high = int(first), int(last if to else first)
     if not 0 <= high - low < MAX_IDS:
-        raise ValueError(f"{first}-{last} is no range of ids")
+        raise ValueError(f"{first}-{last} is not a range of ids")
     return np.arange(low, high + 1)
 
 

@@ -1,6 +1,6 @@
 """A bar for each stage of a command, on stderr: how far it is, the time left and the pace.
 
-Where stderr is no terminal, as in continuous integration, each stage is one plain line.
+Where stderr is not a terminal, as in continuous integration, each stage is one plain line.
 """
 
 from __future__ import annotations

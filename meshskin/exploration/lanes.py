@@ -171,7 +171,7 @@ def _start(body: Body, sites: Array) -> tuple[Array, list[Array]]:
     return start, [longest, principal, np.cross(normal, principal)]
 
 
-def both_ways(
+def geodesics_through(
     body: Body, start: Array, directions: list[Array], step: float, coverage: Coverage | None = None
 ) -> list[Array]:
     """Points (k, 3) of the geodesics through `start` in each direction and against it.
@@ -180,8 +180,8 @@ def both_ways(
     longer than the region's width, or is four times as long as the body. They are followed
     together.
     """
-    ways = np.concatenate([directions, np.negative(directions)])
-    traces = _traces(body, start, ways, step, coverage)
+    senses = np.concatenate([directions, np.negative(directions)])
+    traces = _traces(body, start, senses, step, coverage)
     out = []
     for (ahead, closed), (back, _) in zip(
         traces[: len(directions)], traces[len(directions) :], strict=True
@@ -227,10 +227,10 @@ def _first_lane(
     geodesic that closes, as others would wind round the body.
     """
     if coverage.width <= ENCIRCLING * body.surface.scale:
-        return both_ways(body, start, directions[:1], step, coverage)[0]
-    ways = both_ways(body, start, directions, step, coverage)
-    closing = (p for p in ways if np.linalg.norm(p[-1] - p[0]) < 1.5 * step)
-    return next(closing, ways[0])
+        return geodesics_through(body, start, directions[:1], step, coverage)[0]
+    lines = geodesics_through(body, start, directions, step, coverage)
+    closing = (p for p in lines if np.linalg.norm(p[-1] - p[0]) < 1.5 * step)
+    return next(closing, lines[0])
 
 
 def _family(

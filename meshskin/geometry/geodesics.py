@@ -27,7 +27,7 @@ BEND = 0.05
 less than BEND^2 / 3, 0.1 %."""
 
 CUTS = 10
-"""Edges of the cut faces along the radius that `within` looks at: the ways over the rim of a plate
+"""Edges of the cut faces along the radius that `within` looks at: the paths over the rim of a plate
 were longer than the geodesics by 2 to 5 % on average, by 7 to 19 % at most."""
 TOO_TIGHT = 2.0
 """Curvature of an arc between two points, relative to the largest one of the surface at its ends,
@@ -162,24 +162,24 @@ def within(body: Body, middle: Closest, at: Closest, radius: float) -> NDArray[n
 
 
 def _path_lengths(body: Body, start: Closest, end: Closest, radius: float) -> Array:
-    """Lengths (n,), m, of the shortest ways from one surface point to n others along the edges of
+    """Lengths (n,), m, of the shortest paths from one surface point to n others along the edges of
     the faces, cut to a part of the radius, m; inf beyond it."""
-    nodes, face, node, way = _ways(
+    nodes, face, node, length = _node_paths(
         body.surface, int(start.face[0]), tuple(start.point[0].tolist()), radius
     )
     first, after = (np.searchsorted(face, end.face, side) for side in ("left", "right"))
     row, last = np.repeat(np.arange(len(first)), after - first), node[ranges(first, after - first)]
     out = np.full(len(first), np.inf)
-    np.minimum.at(out, row, way[last] + np.linalg.norm(nodes[last] - end.point[row], axis=1))
+    np.minimum.at(out, row, length[last] + np.linalg.norm(nodes[last] - end.point[row], axis=1))
     return out
 
 
 @lru_cache(maxsize=1)  # a lattice asks for every ring about the same point
-def _ways(
+def _node_paths(
     surface: Surface, start_face: int, start: tuple[float, ...], radius: float
 ) -> tuple[Array, Array, Array, Array]:
     """Nodes (k, 3), m, of the faces near a point of one of them; pairs of a face and one of its
-    nodes (p,), (p,), sorted; and the lengths of the ways (k,), m, to the nodes."""
+    nodes (p,), (p,), sorted; and the lengths of the paths (k,), m, to the nodes."""
     corners = surface.vertices[surface.faces]
     faces = np.arange(len(corners))
     while True:
@@ -203,13 +203,13 @@ def _ways(
     length = np.append(length, np.linalg.norm(nodes[own] - start, axis=1))
     ends, first = np.unique(ends, axis=1, return_index=True)
     graph = sparse.csr_array((length[first], tuple(ends)), shape=(n + 1, n + 1))
-    way = csgraph.dijkstra(graph, directed=False, indices=n, limit=radius)
-    return nodes, face, node, way
+    lengths = csgraph.dijkstra(graph, directed=False, indices=n, limit=radius)
+    return nodes, face, node, lengths
 
 
 def _links(nodes: Array, faces: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array]:
     """Pairs (2, l) of nodes (k, 3), m, of faces (m, 3), and their distances (l,), m: the ends of
-    edges, and the corners that face each other over an edge, unfolded, where the straight way
+    edges, and the corners that face each other over an edge, unfolded, where the straight line
     crosses it."""
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     order = np.lexsort(ends.T)

@@ -150,7 +150,7 @@ def clock_offset(
     """The offset of the times (n,), s, of tared readings (n, t) with noise (t,) against those (m,)
     of states (m, k): the force, or the joint angles.
 
-    None where fewer than MIN_CONTACTS contacts tell it: those in one place, whose path returns
+    None where fewer than MIN_CONTACTS contacts determine it: those in one place, whose path returns
     along one line and whose readings follow it.
     """
     path = _Path.of(state_times, states, float(np.median(np.diff(np.unique(times)))))
@@ -165,11 +165,11 @@ def clock_offset(
         if len(rows) >= FRAMES_PER_KNOT * KNOTS and _in_one_place(about, in_contact[rows]):
             sums = about.sum(axis=1, dtype=float)
             found.append(_of_contact(path, times[rows], sums, float(np.sum(noise[pressed] ** 2))))
-    told = np.array([one for one in found if one is not None])
-    if len(told) < MIN_CONTACTS:
+    known = np.array([one for one in found if one is not None])
+    if len(known) < MIN_CONTACTS:
         return None
-    offset, sigma = _pooled(*told.T)
-    return ClockOffset(offset, sigma, len(told), by)
+    offset, sigma = _pooled(*known.T)
+    return ClockOffset(offset, sigma, len(known), by)
 
 
 def _in_one_place(readings: NDArray[np.floating], in_contact: NDArray[np.bool_]) -> bool:

@@ -37,7 +37,7 @@ LIMITS: dict[str, tuple[Callable[[Any], Any], str, str]] = {
         "at least 0 Pa",
         "remove the offsets of the sensors, or name the column reading if it holds raw readings",
     ),
-    "taxel": (lambda x: x < 0, "at least 0", "remove the readings of what is no taxel"),
+    "taxel": (lambda x: x < 0, "at least 0", "remove the readings of other sensors"),
 }
 """For a column: which values are invalid, the limit that they break, and the remedy."""
 UTF16 = (b"\xff\xfe", b"\xfe\xff")

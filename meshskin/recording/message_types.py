@@ -50,7 +50,7 @@ NAME_PATHS = {"JointState": "name"}
 TRANSFORMS = "TFMessage"
 """The type that holds poses of many frames, of which a path selects one."""
 IGNORED = ("Image", "CompressedImage", "PointCloud", "PointCloud2", "OccupancyGrid", "LaserScan")
-"""Types whose arrays are no taxels."""
+"""Types whose arrays are not taxels."""
 MIN_TAXELS = 4
 """Length of an array from which it could be taxels: what is shorter is a point, a quaternion or a
 status."""

@@ -61,7 +61,7 @@ def check_single(stream: Stream) -> None:
         block = stream.values[start : start + BLOCK].astype(float)
         ratio = _alternation(block)
         if ratio > ALTERNATING and not (
-            stream.kind == TAXELS and _hums(stream.times[start : start + BLOCK], block)
+            stream.kind == TAXELS and _has_mains_hum(stream.times[start : start + BLOCK], block)
         ):
             at = stream.times[start] - stream.times[0]
             raise RecordingError(
@@ -83,7 +83,7 @@ def _alternation(values: Array) -> float:
     return one / two if two > 0 else float("inf" if one > 0 else 0)
 
 
-def _hums(times: Array, values: Array) -> bool:
+def _has_mains_hum(times: Array, values: Array) -> bool:
     """Whether samples (n, k) that alternate are of one publisher, with mains hum of nearly half
     their rate."""
     steps = np.diff(times)

@@ -28,8 +28,8 @@ DENSE = 0.25
 """Share of a block's readings that the densest interval holds: a taxel that is at rest for longer
 than this share is found at rest."""
 FALSE_ALARM = 0.01
-"""Expected number of contacts that noise feigns in a log, and of taxels that it keeps in contact in
-a frame."""
+"""Expected number of false contacts that noise causes in a log, and of taxels that it keeps in
+contact in a frame."""
 MIN_FRAMES = 2
 """Frames above the upper threshold that make a contact: single ones are disturbances."""
 GUARD = 0.3

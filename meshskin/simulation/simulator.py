@@ -270,7 +270,7 @@ class Simulator:
                 "the surface under the contact folds",
                 value=f"a face of {1e6 * self.body.mesh.area_faces[self.face]:.3g} mm2 at "
                 f"{self._at(self.state)}",
-                remedy="mend the long thin triangles there (Body.skinned), or leave that part of "
+                remedy="repair the long thin triangles there (Body.skinned), or leave that part of "
                 "the body out of the skin's region",
             )
         return count

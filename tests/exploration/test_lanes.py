@@ -12,8 +12,8 @@ from meshskin.exploration.lanes import (
     PointCloud,
     _offset,
     _traces,
-    both_ways,
     cover,
+    geodesics_through,
 )
 from meshskin.exploration.spacing import MAX_SPACING, spacing_for
 from meshskin.geometry.body import Body
@@ -51,10 +51,10 @@ def test_lanes_pass_every_taxel_and_keep_their_distance(name):
 
 def test_a_geodesic_of_a_sphere_is_a_great_circle_that_closes():
     body = BODIES["sphere"][0]
-    (way,) = both_ways(body, np.array([0.0, 0.0, -0.1]), [np.array([1.0, 0.0, 0.0])], STEP)
-    np.testing.assert_allclose(np.linalg.norm(way, axis=1), 0.1, atol=1e-7)
-    assert np.abs(way[:, 1]).max() < 1e-6
-    length = np.linalg.norm(np.diff(way, axis=0), axis=1).sum()
+    (line,) = geodesics_through(body, np.array([0.0, 0.0, -0.1]), [np.array([1.0, 0.0, 0.0])], STEP)
+    np.testing.assert_allclose(np.linalg.norm(line, axis=1), 0.1, atol=1e-7)
+    assert np.abs(line[:, 1]).max() < 1e-6
+    length = np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
     assert length == pytest.approx(0.2 * np.pi, rel=0.01)
 
 

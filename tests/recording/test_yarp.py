@@ -85,8 +85,8 @@ def test_a_torn_last_line_is_left_out(dump):
     [
         ("5 10.1 1 2 3", "line 6 of skin/data.log .*3 values, 12 before"),
         ("5 10.1 ((1 2", "line 6 .* parentheses do not match"),
-        ("5 10.1 ((1 2) (3))", "it is no skin contact"),
-        ("5 10.1 (1 2 3)", "it is no skin contact"),
+        ("5 10.1 ((1 2) (3))", "it is not a skin contact"),
+        ("5 10.1 (1 2 3)", "it is not a skin contact"),
         ("hello", "line 6 .*must begin with a number and 1 time, got 'hello"),
     ],
 )

@@ -17,8 +17,8 @@ CORRUPT_RATIO = 10.0
 Peaks grow as F^(1/3), and gains differ by a factor of 2.5 at three standard deviations of their
 prior: less than 10 together even at ten times the force."""
 MAX_CORRUPT = 0.01
-"""Fraction of corrupt readings up to which they are left out: more are no accident of single
-numbers, but a wrong unit or a broken sensor, which the test of fit shows."""
+"""Fraction of corrupt readings up to which they are left out: more have a common cause, a
+wrong unit or a broken sensor, which the test of fit shows."""
 MIN_STUCK = 10
 """Equal readings in a row from which a taxel may be stuck."""
 STUCK_SPREAD = 1.5
@@ -40,11 +40,11 @@ NEIGHBOURS, STEPS = 6, (-2, -1, 1, 2)
 """Contacts that are nearest to that of a reading, and in time: what creep and hysteresis leave
 follows a stronger reading."""
 LEAST_NEIGHBOURS = 4
-"""Neighbours within half of a taxel's reach, at least: where contacts are sparser no other one
-tells of a reading."""
+"""Neighbours within half of a taxel's reach, at least: where contacts are sparser a reading
+cannot be compared."""
 FAR = 2.0
 """Distance of a contact from those of the taxel, in reaches, from which its reading may be a spike:
-tails of a response are no further; at the border of what was touched contacts lack neighbours."""
+tails of a response end before; at the border of what was touched contacts lack neighbours."""
 
 
 def corrupt_readings(pressure: Array, taxel: np.ndarray) -> np.ndarray:

@@ -45,7 +45,7 @@ MATCH = 20.0
 """A unit is named as the cause if it explains the ratio within this factor."""
 REMEDY = "check the units of pressure, force and modulus"
 RAW_REMEDY = ', or give readings="raw" (--raw) if they are counts or volts'
-"""What else helps where readings are no pressures."""
+"""What else helps where readings are not pressures."""
 
 
 def check_points(body: Body, points: Array, distance: Array) -> None:

@@ -172,7 +172,7 @@ def beyond_edge(readings: Readings, r: Array, sigma: float) -> Array:
     expected reading that divides silent ones from others with the fewest on the wrong side.
 
     A response whose edge is less steep than the taxels' expects readings of all of them where none
-    reads. That accuses no taxel; one that is silent where others read at the same level is faulty.
+    reads. No taxel is at fault there; one that is silent where others read at the same level is.
     """
     silent = readings.kind == CENSORED
     if not (r[silent] > 0).any():

@@ -18,7 +18,7 @@ the two digits that are printed of the largest."""
 
 MIN_SHARE = 0.2
 """Least component of a direction of a contact motion that is named: these have many unknowns, and
-parts of 4 % of a direction's variance are no help to who reads it."""
+parts of 4 % of a direction's variance do not help a reader."""
 
 TIE = 1e-3
 """Difference of the variances of directions, relative to their priors, that are undetermined alike:

@@ -29,7 +29,7 @@ outlying: twice what confuses the start of the estimate."""
 LEAST_DISPLACED = 0.02
 """Least displacement, in contact radii, of an outlying contact: smaller ones harm no estimate."""
 LEAST_FORCE = 0.5
-"""Least error of ln F of an outlying contact: a force that is 1.6 times another is no scatter."""
+"""Least error of ln F of an outlying contact: a force that is 1.6 times another is not scatter."""
 RAYLEIGH = 1.1774
 """Median length of a vector of two standard normal variables; that of one is MAD."""
 MAX_PRIOR_SIGMAS = 3.0
@@ -114,8 +114,8 @@ def displaced_contacts(errors: Array, touched: np.ndarray, radii: Array) -> np.n
 
 
 def minority(contacts: np.ndarray, readings: Readings) -> np.ndarray:
-    """Those of the rows `contacts` that are no majority of what any taxel reads: without these a
-    taxel would be placed by noise, and what displaces all contacts of a place is no accident."""
+    """Those of the rows `contacts` that are a minority of the contacts of each taxel: without a
+    majority noise would place the taxel, and an error of all contacts of a place is systematic."""
     read = readings.kind == OBSERVED
     chosen = read & np.isin(readings.contact, contacts)
     n = len(readings.starts) - 1

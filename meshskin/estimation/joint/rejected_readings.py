@@ -23,7 +23,7 @@ from .pressure import OBSERVED
 
 CHANCE = 0.01
 """Probability, by the fraction of outlying readings of all taxels, of as many as a taxel has, below
-which they are no accidents: of skins whose accidents are independent, one taxel in 100 is wider."""
+which they are not accidents: where accidents are independent, one taxel in 100 is wider."""
 HUBER = 4.0
 """Residual, in standard deviations, from which the cost of a reading with a learned response grows
 linearly, and to which that of an outlying one is cut: 6e-5 of the sound ones exceed it."""

@@ -62,9 +62,9 @@ def most_likely(slope: Array, information: Array) -> tuple[float, Array, Array]:
     (b, q) and covariance (b, q, q) given the readings; slope (b, q) and information (b, q, q): of
     the logarithm of the likelihood at zero."""
     value, vectors = np.linalg.eigh(information)
-    told = value > SINGULAR * value.max(axis=1, initial=0.0, keepdims=True)
-    value = np.where(told, value, 0.0)
-    along = np.where(told, np.einsum("bqe,bq->be", vectors, slope), 0.0)
+    seen = value > SINGULAR * value.max(axis=1, initial=0.0, keepdims=True)
+    value = np.where(seen, value, 0.0)
+    along = np.where(seen, np.einsum("bqe,bq->be", vectors, slope), 0.0)
     variance = DEVIATIONS[:, None, None] ** 2
     narrower = 1 / (1 + variance * value)
     gain = np.sum(variance * narrower * along**2 + np.log(narrower), axis=2) / 2

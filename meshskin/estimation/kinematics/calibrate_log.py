@@ -118,7 +118,7 @@ def calibrate_log(
     result = LogCalibration(
         found, recording, kinematics, after, before, rounds, moved, factor, by_joint
     )
-    verdict = None if found.verdict is None else found.verdict.with_doubts(result.surprises)
+    verdict = None if found.verdict is None else found.verdict.with_doubts(result.contradictions)
     warn_left_out("calibrated", found.reasons_left_out, len(found.ids))
     return replace(result, calibration=replace(found, verdict=verdict))
 

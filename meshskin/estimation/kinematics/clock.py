@@ -22,7 +22,7 @@ STEP = 0.02
 """Distance, s, of the offsets that are tried: a contact slides by 1 mm in it at 50 mm/s, a fraction
 of a patch."""
 FAR_GAIN = 0.5
-"""Mean spread, relative to that with no offset, from which chance is no question. The mean, not the
+"""Mean spread, relative to that with no offset, from which it is not chance. The mean, not the
 median, is compared: at an offset of seconds a few contacts lie on the way from one pass to the
 next, far from all others."""
 LATE_GAIN = 0.9

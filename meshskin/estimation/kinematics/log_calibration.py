@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
     from ...robot.robot import Robot
 
-SURPRISE = 3.5
+CONTRADICTED = 3.5
 """Standard deviations before any measurement beyond which an unknown contradicts what was believed:
 one of 20 sound ones is with a probability of 1 %."""
 MIN_CHANCE = 0.01
 """Probability of all unknowns together, under what was believed of them, from which they contradict
-it: about that of one beyond SURPRISE."""
+it: about that of one beyond CONTRADICTED."""
 AT_REST = 0.3
 """Move of the contacts in the last round, relative to the taxels' median standard deviation, up to
 which they are at rest: it would add 4 % to that."""
@@ -68,7 +68,9 @@ class LogCalibration(Value, Card):
         before, after = self.heights_mm
         heights = f"{before:.3g} mm off the body before, {after:.2g} mm after the estimate"
         facts = {**self.calibration.facts(), "contacts": heights}
-        return facts | ({"surprises": "; ".join(self.surprises)} if self.surprises else {})
+        return facts | (
+            {"contradictions": "; ".join(self.contradictions)} if self.contradictions else {}
+        )
 
     @property
     def heights_mm(self) -> tuple[float, float]:
@@ -138,7 +140,7 @@ class LogCalibration(Value, Card):
         return float(gammaincc(len(sigma) / 2, square / 2)) if sigma else 1.0
 
     @property
-    def surprises(self) -> tuple[str, ...]:
+    def contradictions(self) -> tuple[str, ...]:
         """Unknowns that are farther from zero than was believed of them, in words: a wrong standard
         deviation, or an error that is not declared and that they stand in for; and contacts that
         have not come to rest."""
@@ -147,7 +149,7 @@ class LogCalibration(Value, Card):
             f"{label} is {value:.3g}, {abs(value) / sigma[label]:.2g} times its believed standard "
             f"deviation of {sigma[label]:.3g}"
             for label, (value, _) in self.unknowns.items()
-            if abs(value) > SURPRISE * sigma[label]
+            if abs(value) > CONTRADICTED * sigma[label]
         ]
         if not found and (chance := self._chance(sigma)) < MIN_CHANCE:
             far = sorted(

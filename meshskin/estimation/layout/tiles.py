@@ -124,7 +124,7 @@ def _grown(count: int, pitch: float, meetings: list[Meeting]) -> tuple[Array, Ar
     at = {(m.first, m.second): m for m in meetings}
     at |= {(m.second, m.first): m.reversed() for m in meetings}
     row, column = np.array(list(at), dtype=int).reshape(-1, 2).T
-    weight = [max(m.misfit, 1e-9) for m in at.values()]  # a zero would be no edge
+    weight = [max(m.misfit, 1e-9) for m in at.values()]  # SciPy takes a zero for a missing edge
     tree = minimum_spanning_tree(csr_array((weight, (row, column)), shape=(count, count)))
     parts, part = connected_components(tree, directed=False)
     for first in [int(np.argmax(part == k)) for k in range(parts)]:

@@ -24,7 +24,7 @@ from .deviations import FLOOR
 from .random_effects import RandomEffects
 
 MAX_CORRELATION, LARGEST_CORRELATION = 0.4, 0.95
-"""Correlation of the displacements of neighbouring contacts above which they are no scatter:
+"""Correlation of the displacements of neighbouring contacts above which they are not scatter:
 independent ones have -0.1 to 0.15, by the taxels that they share; and the largest one that tells
 how many contacts they stand for."""
 MIN_CONTACTS = 20
@@ -43,7 +43,7 @@ MODEL_ERROR = 0.03
 """Error of a correlogram of Gaussian fields, relative to its value at distance zero: no field of
 the world has exactly their correlations."""
 MIN_GAIN = 20.0
-"""Decrease of the misfit of the correlograms, as chi-square, from which fields are no chance: at
+"""Decrease of the misfit of the correlograms, as chi-square, from which fields are not chance: at
 most 12 in 20 recordings of worlds without any, and 25 or more in 8 of raw meshes (the bodies of
 tests/estimation/joint/test_raw_meshes.py with four seeds)."""
 FORCE_UNIT = 0.02

@@ -111,7 +111,7 @@ class OnlineCalibration:
         """Add B frames; readings (B, n), or (n,) of one frame: of the taxels in the belief's order,
         in Pa. A reading up to the threshold says that the taxel is silent, NaN that it is lost.
 
-        Frames without force are no contacts; with no frames, taxels that wait are estimated anew.
+        Frames without force are not contacts; with no frames, taxels that wait are estimated anew.
         Raises RecordingError for readings of another shape, CalibrationError for the first contacts
         far from the body, and headings that lack.
         """

@@ -300,7 +300,7 @@ def _contacts(data: Measurements, calibration: Calibration) -> list[Finding]:
     words = (
         f"contact points are {1e3 * response.contact_scatter:.2g} mm off, and neighbouring ones "
         f"alike (correlation {response.contact_correlation:.2f}, limit {MAX_CORRELATION:g}): this "
-        "is no scatter, but an error of the kinematic model or of the clocks; declare "
+        "is not scatter, but an error of the kinematic model or of the clocks; declare "
         "indenter_offset or body_offset unknown, or correct the times; the standard deviations are "
         "widened by what so many contacts alike are worth"
     )

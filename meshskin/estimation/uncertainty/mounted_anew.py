@@ -47,7 +47,7 @@ class Displacements:
 def displacements(data: Measurements, points: Array) -> Displacements:
     """Those of contact points (k, 3), m, in the order of their times.
 
-    A depth of all, as of a body of another size, is taken off with them, and is no displacement.
+    A depth that all share, as of a body of another size, is estimated beside them and subtracted.
     """
     hit, count = data.body.closest(points), len(points)
     best, found = np.inf, list[Array]()

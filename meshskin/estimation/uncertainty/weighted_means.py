@@ -78,7 +78,7 @@ def _expected_means(data: Measurements, points: Array, steepness: int) -> Array:
 
 def surrounded(data: Measurements, means: Array) -> np.ndarray:
     """Whether contacts lie in all SECTORS directions from points `means` (n, 3) on the surface, at
-    RING reaches: where they end before, a weighted mean of contact points is no estimate."""
+    RING reaches: where they end before, a weighted mean of contact points is biased."""
     normals, reach = data.body.closest(means).normal, data.reach()
     contact, own = near_pairs(data, means, normals, RING[1] * reach)
     offset = np.einsum("kij,ki->kj", chart.frames(normals)[own], data.points[contact] - means[own])

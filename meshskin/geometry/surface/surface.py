@@ -99,7 +99,7 @@ class Surface:
     @cached_property
     def edges(self) -> Array:
         """Ends (k, 2, 3), m, of the edges and borders: there the normal of the smooth surface
-        jumps, or ends; a jump of the curvature alone is no edge.
+        jumps, or ends; a jump of the curvature alone is not an edge.
         """
         if self.smooth:
             return np.zeros((0, 2, 3))

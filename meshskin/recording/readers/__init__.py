@@ -69,7 +69,7 @@ def read_and_suggest(
 
 
 def _other_reader(path: Path) -> ModuleType | None:
-    """The reader of a log that is no bag; None: it is one."""
+    """The reader of a log that is not a bag; None: it is one."""
     from . import table, yarp
     from .bag import read as bag
 

@@ -162,7 +162,7 @@ def _streams(port: Port, notes: list[str], progress: bool) -> list[Stream]:
     """The streams of a port: one of vectors, or two of contacts for each skin part."""
     from tqdm import tqdm
 
-    hidden = None if progress else True  # None: hidden where stderr is no terminal
+    hidden = None if progress else True  # None: hidden where stderr is not a terminal
     lines = tqdm(_lines(port, notes), port.name, leave=False, unit=" lines", disable=hidden)
     times, vectors, contacts = list[float](), list[np.ndarray](), list[tuple[int, list[Any]]]()
     for number, (time, content) in enumerate(lines):
@@ -251,7 +251,7 @@ def _contact(entry: Any) -> list[Any]:
     parts = entry if isinstance(entry, list) else []
     lengths = tuple(len(part) if isinstance(part, list) else 1 for part in parts[:6])
     if len(parts) != 8 or lengths != CONTACT_PARTS or not isinstance(parts[6], list):
-        raise ValueError("it is no skin contact")
+        raise ValueError("it is not a skin contact")
     return parts
 
 

@@ -81,18 +81,18 @@ def test_a_small_exploration(small, monkeypatch):
     assert np.median(found.calibration.position_sigma) < 1e-4
     assert np.median(np.abs(found.heights)) < 5e-5
     assert np.median(np.abs(found.heights_before)) > 1e-3
-    assert found.surprises == ()
+    assert found.contradictions == ()
     assert found.calibration.verdict.level == "PASS"
     assert found.moved == 0.0
-    (surprise,) = replace(found, moved=4e-4).surprises
-    assert surprise.startswith(
+    (contradiction,) = replace(found, moved=4e-4).contradictions
+    assert contradiction.startswith(
         f"contacts still moved by 0.4 mm in the last of {found.rounds} round"
     )
     doubted = replace(found.kinematics, unknown=KNOWN | {"clock_offset": 5e-3})
     tight = replace(found, kinematics=doubted)
-    (surprise,) = tight.surprises
-    assert surprise.startswith("clock_offset is 0.03")
-    assert surprise.endswith("7.4 times its believed standard deviation of 0.005")
+    (contradiction,) = tight.contradictions
+    assert contradiction.startswith("clock_offset is 0.03")
+    assert contradiction.endswith("7.4 times its believed standard deviation of 0.005")
     values = found.calibration.parameter_values
     assert values["joint_offset joint4"][2] == "rad"
     assert values["clock_offset"][1:] == (found.unknowns["clock_offset"][1], "s")
@@ -150,7 +150,7 @@ def test_clocks_far_apart_are_found_and_named():
     found = calibrate_log(exploration.log, exploration.kinematics(**KNOWN), belief(exploration))
     value, sigma = found.unknowns["clock_offset"]
     assert abs(value - 0.5) < min(4 * sigma, 2e-3)
-    assert "clock_offset is 0.5, 10 times its believed" in found.surprises[0]
+    assert "clock_offset is 0.5, 10 times its believed" in found.contradictions[0]
     assert found.calibration.verdict.level != "PASS"
 
 
@@ -315,6 +315,6 @@ def test_an_indenter_at_another_height_is_a_doubt(small, height):
     known = small.kinematics(**KNOWN)
     moved = replace(known, indenter=np.add(known.indenter, [0.0, 0.0, height]))
     found = calibrate_log(small.log, moved, belief(small))
-    assert any("indenter's height" in words for words in found.surprises)
+    assert any("indenter's height" in words for words in found.contradictions)
     assert found.calibration.verdict.level != "PASS"
-    assert set(found.surprises) <= set(found.calibration.verdict.reasons)
+    assert set(found.contradictions) <= set(found.calibration.verdict.reasons)

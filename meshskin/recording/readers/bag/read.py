@@ -166,7 +166,7 @@ def _shown(
     from tqdm import tqdm
 
     total = sum(bag.counts[topic] for topic in topics)
-    hidden = None if progress else True  # None: hidden where stderr is no terminal
+    hidden = None if progress else True  # None: hidden where stderr is not a terminal
     yield from tqdm(
         bag.messages(topics), path.name, total, leave=False, unit=" messages", disable=hidden
     )
