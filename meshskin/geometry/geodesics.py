@@ -1,4 +1,8 @@
-"""Geodesics of a surface, the parallel transport of tangents along them, and their lengths."""
+"""Geodesics of a surface, the parallel transport of tangents along them, and their lengths.
+
+Libraries weighed: potpourri3d and pygeodesic have the geodesics of flat facets, without transport;
+lanes and skins need those of the smooth surface, on which the contacts lie.
+"""
 
 from __future__ import annotations
 

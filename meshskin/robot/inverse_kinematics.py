@@ -3,7 +3,8 @@
 Poses are T_w_tip; a residual is the norm of the tip's displacement (m) and rotation vector (rad).
 
 Source: Sugihara, "Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method"
-(IEEE Trans. Robotics 27(5), 2011): damping proportional to the squared residual.
+(IEEE Trans. Robotics 27(5), 2011): damping proportional to the squared residual. Pinocchio was
+weighed: it has the kinematics of one posture a call; here those of many are solved together.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ longest direction, and each slab gets the smallest of three capsules. A capsule 
 surface encloses the solid, as it is convex.
 
 Source of the enclosing circles: Badoiu, Clarkson, "Smaller core-sets for balls" (SODA 2003).
+trimesh was weighed: it fits cylinders, boxes and spheres to a mesh, but no capsules.
 """
 
 from __future__ import annotations

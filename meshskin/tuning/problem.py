@@ -51,7 +51,7 @@ OPTIONS: dict[str, object] = {"mu_strategy": "adaptive", "tol": 1e-5, "max_iter"
 PATIENCE, INFEASIBLE_PATIENCE = 25, 50
 """Iterations without progress after which the search ends, from a point that meets the limits and
 before one is found. Window maxima and interpolations are continuous, their slopes are not: the last
-iterations may cross a kink to and fro for ever."""
+iterations may cross a kink back and forth without end."""
 MIN_ITERATIONS = 40
 """Iterations that every search may take: the first ones lead away from the limits."""
 MIN_GAIN = 1e-3

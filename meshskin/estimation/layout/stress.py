@@ -7,7 +7,7 @@ steps at least.
 Sources: Torgerson, Psychometrika 17 (1952) (start); De Leeuw, "Applications of convex analysis to
 multidimensional scaling" (1977) (majorization); De Leeuw, Heiser, "Multidimensional scaling with
 restrictions on the configuration" (1980) (longer steps); Kamada, Kawai, Inf. Process. Lett. 31
-(1989) (weights).
+(1989) (weights). scikit-learn's SMACOF was weighed: it has no weights, and points alone.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class Snapshot:
     covariances: Array
     """(n, 3, 3), body frame, m^2; NaN where a taxel is not determined."""
     status: OnlineStatus
-    """What the online calibration says of itself."""
+    """Status of the online calibration."""
 
     @classmethod
     def of(cls, online: OnlineCalibration, status: OnlineStatus, row: int, time: float) -> Snapshot:
@@ -81,7 +81,7 @@ def replay(
     """Feed the contacts to `online` at the speed of the panel; yield a snapshot after each update.
 
     Every REFRESH the contacts that are due, at most MOST_FRAMES, go in as one update. After
-    the last one, what waits for being estimated anew is. errors (m, 3): of the contacts, where
+    the last one all taxels that wait are estimated anew. errors (m, 3): of the contacts, where
     known.
     """
     frames = RecordedFrames(recording, online.ids, errors)
