@@ -187,8 +187,10 @@ class JointEstimator:
                 moving = problem.reduce(self.state).decrement > self.tolerance
             if iteration and not moving:
                 break
-            problem.solve_inner(self.state, most=steps)
-            tried += self.state.decrement > problem.inner_tolerance
+            exact = self.frozen or self.data.parameters.move_contacts
+            decrement = 0.0 if exact else problem.reduce(self.state).decrement
+            problem.solve_inner(self.state, most=steps, decrement=decrement)
+            tried += self.state.decrement > problem.tolerance(decrement)
             self.resting = problem.resting = tried >= TRIED
             here = problem, self.likelihood, self.selected_at, self.state
             self.stage.step()

@@ -35,6 +35,9 @@ MIN_CLEARANCE = 3.0
 its residual is as good as uncensored: 1e-3 of such readings are censored."""
 MAX_STEPS = 2
 """Contacts by which two readings that are neighbours in time are apart: one may be missing."""
+MAX_APART = 3.0
+"""Difference of the variances by neighbours in space and in time, in its standard deviation were
+they independent, up to which it is chance: 1.3e-3 of equal ones differ by more on one side."""
 MAX_SILENT = 10.0
 """Silent readings that inform, relative to the others, above which the believed reach is wrong:
 where it is right they are fewer than the others."""
@@ -190,7 +193,8 @@ def neighbour_scatter(
     variances: Callable[[np.ndarray, np.ndarray], Array],
 ) -> Noise:
     """The noise by the differences of the residuals r (k,) of the readings `rows` of a taxel in
-    neighbouring contacts; of neighbours in space and in time the smaller scatter counts.
+    neighbouring contacts; of neighbours in space and in time the smaller scatter counts, and both
+    where their difference is chance: the smaller of two equal ones is too small on average.
 
     points (m, 3), m: of the contacts; variances: those (p,) of the differences of two rows (p,) of
     residuals, by unit noise.
@@ -198,10 +202,17 @@ def neighbour_scatter(
     found = []
     for a, b in neighbours(readings, points, rows):
         if len(a):
-            square = np.sum((r[a] - r[b]) ** 2) / variances(a, b).sum()
-            found.append(Noise(float(np.sqrt(square)), len(a)))
-    enough = [noise for noise in found if 2 * noise.pairs >= max(n.pairs for n in found)]
-    return min(enough, key=lambda noise: noise.scale) if enough else Noise(1.0, 0)
+            found.append((np.sum((r[a] - r[b]) ** 2), variances(a, b).sum(), len(a)))
+    square, expected, pairs = np.array(found, dtype=float).reshape(-1, 3).T
+    enough = np.flatnonzero(2 * pairs >= pairs.max(initial=0.0))
+    if not len(enough):
+        return Noise(1.0, 0)
+    ratio = square / expected
+    least = enough[np.argmin(ratio[enough])]
+    chance = MAX_APART * np.sqrt(2 / pairs + 2 / pairs[least]) * ratio[least]
+    alike = enough[ratio[enough] - ratio[least] <= chance[enough]]
+    together = square[alike].sum() / expected[alike].sum()
+    return Noise(float(np.sqrt(together)), int(pairs[alike].max()))
 
 
 def neighbours(

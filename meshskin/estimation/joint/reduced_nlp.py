@@ -22,10 +22,13 @@ NEWTON_TOLERANCE = 1e-8
 """Newton decrement, in units of the cost, at which an estimate is at its optimum: it is within
 sqrt(2e-8) = 1.4e-4 standard deviations."""
 MAX_EVALUATIONS = 90.0, 15.0
-"""Evaluations of all taxels, and more for each global parameter, in which an estimate must
-converge; one of a taxel counts 1 over their number, or LEAST_PART. 3 to 12 are usual. The most
-where the model fits were 32 with a modulus 30 times its belief, and 103 with seven global
-parameters, among them a body offset; pressures 4 to 10 times wrong took 150 to 3000."""
+"""Evaluations of all taxels, and more for each global parameter, in which they must converge about
+one linearization; one of a taxel counts 1 over their number, or LEAST_PART. 3 to 12 are usual. The
+most where the model fits were 32 with a modulus 30 times its belief, and 103 with seven global
+parameters, among them a body offset, in all linearizations; pressures of half or a quarter took 26
+to 93, those 4 to 10 times too large more."""
+LEAST_CURVATURE = 0.1
+"""Least curvature along a step, relative to Gauss-Newton's: a step is no longer than ten of its."""
 
 
 def minimize(
@@ -85,8 +88,10 @@ class _Evaluator:
         self.reduced = self.lowest = problem.reduce(state)
         self.scale = np.linalg.inv(np.linalg.cholesky(self.reduced.hessian)).T
         self.origin = self.reduced.cost
+        self.step = np.zeros(len(state.s)), np.zeros(len(state.s))
+        """The last step that lowered the cost, and the change of the gradient along it."""
         least, more = MAX_EVALUATIONS
-        self.most = least + more * len(state.s)
+        self.most = problem.evaluations + least + more * len(state.s)
         """Limit of the evaluations."""
 
     @property
@@ -108,9 +113,11 @@ class _Evaluator:
         """At x; where the last evaluation was if they are spent, so that IPOPT finds no step."""
         s = self.scale @ x
         if not np.array_equal(s, self.last.s) and not self.spent:
-            self.last = self.problem.solved_at(self.best, s)
+            self.last = self.problem.solved_at(self.best, s, self.lowest.decrement)
             self.reduced = self.problem.reduce(self.last)
             if self.reduced.cost < self.lowest.cost:
+                slope = self.reduced.gradient - self.lowest.gradient
+                self.step = self.last.s - self.best.s, slope
                 self.best, self.lowest = self.last, self.reduced
                 self.record(self.last)
         return self.reduced
@@ -122,7 +129,17 @@ class _Evaluator:
         return self.scale.T @ self.at(x).gradient
 
     def hessian(self, x: Array) -> Array:
-        return self.scale.T @ self.at(x).hessian @ self.scale
+        """Gauss-Newton's with the curvature along the last step, by a BFGS update. Where the model
+        misfits the cost has a third of Gauss-Newton's curvature or less, whose steps are as short.
+        """
+        hessian, (step, slope) = self.at(x).hessian, self.step
+        expected = hessian @ step
+        along = float(step @ expected)
+        if self.reduced is self.lowest and along > 0.0:
+            slope = slope + max(LEAST_CURVATURE - float(slope @ step) / along, 0.0) * expected
+            hessian = hessian - np.outer(expected, expected) / along
+            hessian = hessian + np.outer(slope, slope) / (slope @ step)
+        return self.scale.T @ hessian @ self.scale
 
 
 def _function(

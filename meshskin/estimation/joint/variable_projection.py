@@ -29,6 +29,10 @@ MAX_STEPS = 40
 INNER_TOLERANCE = 1e-9
 """Newton decrement, in units of the cost, at which a group has converged: a tenth of
 `reduced_nlp.NEWTON_TOLERANCE`."""
+INNER_PART = 1e-3
+"""Part of the Newton decrement of the global parameters to which the groups together are brought to
+their optimum, where that is less exact: the cost that a step of s is judged by is then wrong by
+that part of its expected change."""
 LEAST_PART = 0.1
 """Least part of the time of an evaluation of all groups that a step of few takes: 0.4 of that of
 100 taxels with 6,000 readings."""
@@ -123,11 +127,20 @@ class ReducedProblem:
         state.moments.put(rows, self._moments(z, s, groups))
         return state
 
+    def tolerance(self, decrement: float) -> float:
+        """Newton decrement to which a group is brought at a `decrement` of s (INNER_PART)."""
+        return max(self.inner_tolerance, INNER_PART * decrement / self.parametrization.count)
+
     def solve_inner(
-        self, state: State, groups: np.ndarray | None = None, most: int = MAX_STEPS
+        self,
+        state: State,
+        groups: np.ndarray | None = None,
+        most: int = MAX_STEPS,
+        decrement: float = 0.0,
     ) -> None:
         """Bring the groups (all but the resting ones by default) to their optimum at the state's s,
-        in place, in `most` steps or fewer."""
+        in place, in `most` steps or fewer; decrement: as of `tolerance`."""
+        tolerance = self.tolerance(decrement)
         if groups is None:
             groups = np.arange(self.parametrization.count)
             groups = groups if self.resting is None else groups[~self.resting]
@@ -136,7 +149,7 @@ class ReducedProblem:
             blocks = self.blocks(state, groups)
             step = blocks.steps(damping)
             state.decrement[groups] = blocks.decrement
-            active = state.decrement[groups] > self.inner_tolerance
+            active = state.decrement[groups] > tolerance
             groups, step, damping = groups[active], step[active], damping[active]
             if not len(groups):
                 return
@@ -204,11 +217,12 @@ class ReducedProblem:
             gains = -response[group, column + names.index("gain")].mean(axis=0)
         return total - np.einsum("gik,gil->kl", blocks.coupling, response), gains
 
-    def solved_at(self, state: State, s: Array) -> State:
-        """The state at other s (ks,) with the groups at their optimum, from a first-order guess."""
+    def solved_at(self, state: State, s: Array, decrement: float = 0.0) -> State:
+        """The state at other s (ks,) with the groups at their optimum, from a first-order guess;
+        decrement: as of `solve_inner`."""
         shift = -self._response(self.blocks(state)) @ (s - state.s)
         there = self.start(s, state.z + self.parametrization.limit_step(shift))
-        self.solve_inner(there)
+        self.solve_inner(there, decrement=decrement)
         return there
 
     def _response(self, blocks: TaxelBlocks) -> Array:

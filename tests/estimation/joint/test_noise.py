@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.calibrate import Estimation, calibrate
-from meshskin.estimation.joint.noise import neighbours
+from meshskin.estimation.joint.noise import neighbour_scatter, neighbours
 from meshskin.estimation.joint.readings import Readings
 
 NOISE = 0.05
@@ -95,3 +95,29 @@ def test_neighbours_are_pairs_of_one_taxel():
     near, following = neighbours(readings, points, np.arange(6))
     assert sorted(zip(*map(list, near), strict=True)) == [(1, 2), (4, 5)]
     assert sorted(zip(*map(list, following), strict=True)) == [(0, 1), (4, 5)]
+
+
+def test_the_scatter_of_white_noise_is_unbiased():
+    """Neighbours in space and in time scatter alike: the smaller variance is 5 % too small."""
+    rng, scale = np.random.default_rng(0), []
+    taxel, contact = (x.ravel() for x in np.mgrid[0:4, 0:50])
+    readings = replace(Readings.none(), contact=contact, taxel=taxel, weight=np.ones(200))
+    for _ in range(400):
+        points, white = rng.normal(size=(50, 3)), rng.normal(size=200)
+        found = neighbour_scatter(
+            readings, points, white, np.arange(200), lambda a, b: np.full(len(a), 2.0)
+        )
+        scale.append(found.scale**2)
+    assert abs(np.mean(scale) - 1) < 3 * np.std(scale) / np.sqrt(len(scale))
+
+
+def test_what_wanders_in_time_is_no_scatter():
+    """Neighbours in time tell the noise where the residuals of returning passes differ."""
+    rng = np.random.default_rng(0)
+    taxel, contact = (x.ravel() for x in np.mgrid[0:4, 0:200])
+    readings = replace(Readings.none(), contact=contact, taxel=taxel, weight=np.ones(800))
+    wander = rng.normal(size=800) + 0.05 * contact
+    found = neighbour_scatter(
+        readings, rng.normal(size=(200, 3)), wander, np.arange(800), lambda a, b: np.full(len(a), 2)
+    )
+    assert found.scale == pytest.approx(1.0, abs=3 / np.sqrt(2 * found.pairs))

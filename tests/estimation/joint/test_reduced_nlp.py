@@ -80,6 +80,20 @@ def test_ipopt_finds_the_optimum(problem):
     assert (np.diff(costs) < 0).all()
 
 
+def test_the_search_follows_the_curvature_of_a_cost_whose_model_misfits(world):
+    """Of pressures in another unit; steps of Gauss and Newton take 113 evaluations."""
+    data, live = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05)), np.arange(37)
+    data = replace(data, pressure=0.5 * data.pressure)
+    places = SurfaceParametrization(chart.charts_at(world.body, world.truth), 2e-3)
+    estimator = JointEstimator(data, live, places, np.ones(len(data.pressure)), 30)
+    problem, state = estimator.problem, estimator.state
+    problem.solve_inner(state)
+    problem.evaluations = 0.0
+    found, _ = minimize(problem, state, 30, lambda state: None, tolerance=1e-4)
+    assert problem.reduce(found).decrement < 1e-4
+    assert problem.evaluations < 80
+
+
 def test_a_search_that_takes_too_long_is_refused(world, monkeypatch):
     far = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05, young=2.5 * world.young))
     monkeypatch.setattr(reduced_nlp, "MAX_EVALUATIONS", (1.0, 0.0))
