@@ -68,12 +68,66 @@ def test_joints_by_a_word_of_their_name(tmp_path):
         {"timestamp_ns": 1e9 * np.arange(N)} | dict.fromkeys(names, np.ones(N)),
     )
     log, could = read_and_suggest(path)
-    kinds = {name: [one.kind for one in could[name]] for name in could}
-    assert kinds == {
-        "shoulder_pan_joint": ["joints"], "panda_joint*": ["joints"], "joint_*": ["joints"],
-        "q": ["joints"], "angle_deg": ["joints"], "quality": [],
+    assert {name: [one.names for one in could[name]] for name in could} == {
+        "joints": [()], "joints_deg": [("angle",)], "quality": [],
     }  # fmt: skip
+    assert could["joints"][0].values == ("shoulder_pan_joint", "panda_joint1", "joint_2", "q")
     assert log.streams[0].span == (0.0, N - 1.0)
+
+
+@pytest.mark.parametrize(
+    ("joints", "others"),
+    [
+        ("l_elbow l_shoulder_pitch torso_yaw", "l_elbow_vel elbow_torque index head_x"),
+        ("shoulder_pan wrist_1 wrist_2 wrist_3", "wrist_force wrist_temperature target_q_0"),
+        ("HeadYaw LShoulderPitch RElbowRoll", "LElbowCurrent"),
+    ],
+)
+@pytest.mark.parametrize("unit", ["{}", "{}_deg", "{} [deg]", "{} (rad)"])
+def test_joints_without_a_number_and_their_unit(tmp_path, joints, others, unit):
+    """Of the iCub, of a UR and of a NAO."""
+    columns = [unit.format(name) for name in joints.split()]
+    table = {"Time [s]": 0.02 * np.arange(N)} | {name: np.arange(N) % 5 for name in others.split()}
+    table |= {name: np.arange(N) + k for k, name in enumerate(columns)}
+    path = csv(tmp_path / "log.csv", table)
+    _, could = read_and_suggest(path)
+    (found,) = [one for maps in could.values() for one in maps if one.kind == "joints"]
+    (stream,) = read_log(path, LogMap((found,))).streams
+    assert stream.fields == tuple(joints.split())
+    assert stream.unit == ("deg" if "deg" in unit else "rad")
+    np.testing.assert_array_equal(stream.values, np.arange(N)[:, None] + np.arange(len(columns)))
+
+
+def test_units_of_numbered_columns(tmp_path):
+    table = {"t [ms]": 20.0 * np.arange(N)}
+    table |= {f"q{k}_deg": np.ones(N) for k in (1, 2)}
+    table |= {f"skin {k} [kPa]": np.ones(N) for k in range(5)}
+    table |= {f"F{axis} [N]": np.ones(N) for axis in "xyz"}
+    _, could = read_and_suggest(csv(tmp_path / "log.csv", table))
+    found = {name: (maps[0].kind, maps[0].unit, maps[0].names) for name, maps in could.items()}
+    assert found == {
+        "wrench": ("wrench", "", ()), "q*_deg": ("joints", "deg", ("q1", "q2")),
+        "skin * [kPa]": ("taxels", "kPa", ()),
+    }  # fmt: skip
+    log = read_log(tmp_path / "log.csv", LogMap(tuple(maps[0] for maps in could.values())))
+    assert [stream.values.shape for stream in log.streams] == [(N, 3), (N, 2), (N, 5)]
+    np.testing.assert_allclose(log.streams[0].times, 0.02 * np.arange(N))
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "point", "mark"),
+    [(";", ",", ""), (";", ".", ""), ("\t", ",", "# "), (" ", ".", ""), (" ", ".", "# "),
+     (",", ".", "#")],
+)  # fmt: skip
+def test_tables_of_other_programs(tmp_path, delimiter, point, mark):
+    path = csv(tmp_path / "log.csv")
+    text = path.read_text().replace(",", delimiter).replace(".", point)
+    path.write_text(mark + text)
+    log_map = LogMap((StreamMap("skin_*", "taxels"), StreamMap("q_*", "joints")))
+    taxels, joints = read_log(path, log_map).streams
+    np.testing.assert_array_equal(taxels.values[:, 1], COLUMNS["skin_1"])
+    np.testing.assert_array_equal(joints.values[:, 2], COLUMNS["q_2"])
+    np.testing.assert_allclose(joints.times, COLUMNS["time_ms"] / 1e3)
 
 
 @pytest.mark.parametrize(

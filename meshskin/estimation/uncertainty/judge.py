@@ -77,6 +77,7 @@ def judge(
         lambda: verdict.alike(calibration),
         lambda: verdict.few_readings(calibration),
         lambda: verdict.profile(data, calibration),
+        lambda: verdict.joint_angles(recording, data),
         lambda: verdict.times(recording),
         lambda: verdict.clocks(recording, data, calibration),
         lambda: _faults(calibration),

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...contact.disc import disc_mean
 from ...core.arrays import Array, means_by_group
-from ...recording.recording import UNCOMPARED, Recording
+from ...recording.recording import JOINT_ANGLES, UNCOMPARED, Recording
 from ...scene.belief import RAW
 from ..data import delay
 from ..data.global_parameters import PRIOR_SIGMAS
@@ -319,6 +319,17 @@ def clocks(recording: Recording, data: Measurements, calibration: Calibration) -
         f"{1e3 * typical:.2g} mm, which is not in the standard deviations of "
         f"{1e3 * stated:.2g} mm (limit); stroke both ways, press and retract along one path at "
         "five places, or give delay_ms in the map"
+    )
+    return [(DOUBT, words)]
+
+
+def joint_angles(recording: Recording, data: Measurements) -> list[Finding]:
+    """Contacts that follow from joint angles, where the belief has none of their errors."""
+    if recording.metadata.get("source") != JOINT_ANGLES or data.belief.contact_motion is not None:
+        return []
+    words = (
+        "the contact points follow from joint angles, whose errors displace all of them and are "
+        "not in the standard deviations: calibrate the log itself (calibrate LOG --map)"
     )
     return [(DOUBT, words)]
 

@@ -3,7 +3,7 @@
 A point is three columns x, y, z, alone or after a word such as `contact` or `pos` (`px`,
 `contact_x_mm`, `point.x`), or after any word where there is none and the unit is one of length
 (`stylus_x_mm`); a normal likewise after `n` or `normal`; a force is the one column such as `force`,
-`fz` (without `fx`, `fy`) or `normal_force_n`, or that in N (`push_N`).
+`fz` (without `fx`, `fy`) or `normal_force_n`, or that in N (`push_N`). Units may be in brackets.
 """
 
 from __future__ import annotations
@@ -26,16 +26,21 @@ _Columns = tuple[list[str], str]
 """Three columns and their unit."""
 
 
+def plain(name: str) -> str:
+    """The name of a column in lower case, its unit after an underscore: time_ms of `Time [ms]`."""
+    return re.sub(r"\s*[\[(]([^\[\]()]+)[\])]$", r"_\1", name.strip().lower())
+
+
 def contact_columns(names: Sequence[str]) -> tuple[list[str], str]:
     """The columns of contact points, of normals and of forces, as far as there are, and the unit
     of the points, "" where they do not say it. No columns without those of points, or where two
     kinds of points could be meant.
     """
     triples: dict[tuple[str, str], dict[str, str]] = {}
-    forces = [name for name in names if FORCE.fullmatch(name.lower())]
+    forces = [name for name in names if FORCE.fullmatch(plain(name))]
     forces = forces or [name for name in names if name.endswith(NEWTON)]
     for name in names:
-        if found := AXIS.fullmatch(name.lower()):
+        if found := AXIS.fullmatch(plain(name)):
             key = found["words"], found["unit"] or ""
             triples.setdefault(key, {})[found["axis"]] = name
     points, normals, others = list[_Columns](), list[_Columns](), list[_Columns]()

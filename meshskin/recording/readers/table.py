@@ -1,8 +1,8 @@
 """CSV and Parquet files with a column of times, or folders of them.
 
-Columns whose names differ in a number at the end alone are one stream: q_1, q_2 are q_*. In a
-folder the name of the file comes before: joints/q_*. Columns of contact points, normals and forces
-are the stream `contacts`.
+Columns are streams by their names (column_names.py); in a folder the name of the file comes before:
+joints/q_*. Between columns are commas, or semicolons, tabs or spaces where the header has these; a
+file without commas between columns may have decimal commas.
 """
 
 from __future__ import annotations
@@ -18,10 +18,9 @@ import pyarrow as pa
 
 from ...core.errors import RecordingError, UnknownNameError
 from ..log_map import TIME_UNITS, StreamMap
-from ..message_types import MIN_TAXELS
-from ..recording import QUATERNION
-from ..stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, contact_fields
-from .contact_columns import contact_columns
+from ..stream import CONTACTS, JOINTS, TAXELS, Log, Stream, contact_fields
+from .column_names import groups as groups_of
+from .column_names import is_time, split_unit, suggest
 
 if TYPE_CHECKING:
     from ..log_map import LogMap
@@ -29,18 +28,11 @@ if TYPE_CHECKING:
 PARQUET = b"PAR1"
 """First bytes of a Parquet file, and its last ones."""
 SUFFIXES = (".csv", ".parquet")
-TIME_NAMES = ("time", "t", "timestamp", "stamp")
-"""Names of the column of times, before their unit; without a unit they are in s."""
-JOINT_NAMES = ("q", "j", "joint", "joints", "position", "positions", "angle", "angles")
-"""Words of the names of columns that could be joint angles."""
-OTHER_NAMES = ("qd", "dq", "qdd", "velocity", "velocities", "vel", "acceleration", "tau", "torque",
-               "torques", "effort", "efforts", "current", "currents", "temperature")  # fmt: skip
-"""Words of the names of columns that are neither joint angles nor taxels."""
-FORCES, TORQUES = ("fx", "fy", "fz"), ("tx", "ty", "tz")
-"""Names of the columns of a wrench."""
 STEPS = (1e-4, 5.0)
 """Median times, s, from one row to the next that streams of a robot have: force sensors have 7 kHz
 at most, and a touch of some seconds has some rows."""
+HEAD = 65536
+"""Characters of a CSV file that tell its decimal point."""
 LATEST = 1e11
 """Largest time, s: clocks of computers, which count from 1970, reach it in the year 5138."""
 
@@ -59,7 +51,7 @@ def read(
     files = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES) if folder else [path]
     groups: dict[str, tuple[Path, list[str]]] = {}
     for file in files:
-        for group, columns in _groups(_columns(file)).items():
+        for group, columns in groups_of(_columns(file)).items():
             groups[f"{file.stem}/{group}" if folder else group] = file, columns
     chosen: list[tuple[str, StreamMap | None]] = (
         [(group, None) for group in groups]
@@ -72,7 +64,7 @@ def read(
         file, columns = _choose(topic, given, groups, path)
         stream = _stream(topic, file, columns, given, notes)
         streams.append(stream)
-        could[topic] = _suggest(stream) if given is None else []
+        could[topic] = suggest(topic, stream.fields) if given is None else []
     return Log(path, tuple(streams), tuple(dict.fromkeys(notes))), could
 
 
@@ -85,12 +77,14 @@ def _choose(
         return groups[topic]
     files = {file.stem: file for file, _ in groups.values()}
     file = files.get(topic.partition("/")[0]) or (path if path.is_file() else None)
+    every = [] if file is None else _columns(file)
+    if not patterns and (alone := topic if path.is_file() else topic.partition("/")[2]) in every:
+        patterns = (alone,)
     if file is None or not patterns:
         raise UnknownNameError("group of columns", topic, groups, f" in {path.name}")
-    every = _columns(file)
     found: list[str] = []
     for pattern in patterns:
-        matches = [name for name in every if fnmatch.fnmatchcase(name, pattern)]
+        matches = [name for name in every if name == pattern or fnmatch.fnmatchcase(name, pattern)]
         if not matches:
             raise UnknownNameError("column", pattern, every, f" in {file.name}")
         found += matches
@@ -107,7 +101,10 @@ def _columns(file: Path) -> list[str]:
         if _is_parquet(file):
             return list(pq.read_schema(file).names)
         with file.open(encoding="utf-8-sig", newline="") as stream:
-            names = [name.strip() for name in next(csv.reader(stream, skipinitialspace=True), [])]
+            header = next(csv.reader(stream, skipinitialspace=True, delimiter=_delimiter(file)), [])
+            names = [name.strip() for name in header]
+            if names and names[0].startswith("#"):
+                names[:1] = filter(None, [names[0].lstrip("# ")])
     except (UnicodeDecodeError, csv.Error):
         names = []
     except (pa.ArrowInvalid, OSError) as error:
@@ -123,6 +120,24 @@ def _columns(file: Path) -> list[str]:
     return names
 
 
+def _delimiter(file: Path) -> str:
+    """What is between the columns of a CSV file, by its header."""
+    with file.open(encoding="utf-8-sig") as stream:
+        header = stream.readline()
+    most = max(",;\t", key=header.count)
+    spaced = most not in header and any(map(is_time, header.split()))
+    return " " if spaced else most
+
+
+def _decimal_point(file: Path, delimiter: str) -> str:
+    """What is before the decimals of numbers in a CSV file, by its first rows."""
+    with file.open(encoding="utf-8-sig", errors="replace") as stream:
+        stream.readline()
+        rows = stream.read(HEAD)
+    with_comma = delimiter != "," and re.search(r"\d,\d", rows) and not re.search(r"\d\.\d", rows)
+    return "," if with_comma else "."
+
+
 def _is_parquet(file: Path) -> bool:
     with file.open("rb") as stream:
         return stream.read(4) == PARQUET
@@ -130,32 +145,13 @@ def _is_parquet(file: Path) -> bool:
 
 def _time_column(names: list[str], file: Path) -> str:
     for name in names:
-        base, _, unit = name.lower().partition("_")
-        if base in TIME_NAMES and (not unit or unit in TIME_UNITS):
+        if is_time(name):
             return name
     raise RecordingError(
         f"{file.name} has no column of times",
         value=", ".join(names)[:60],
         remedy="name it time, time_s or time_ms, or give its name as time in the map",
     )
-
-
-def _groups(names: list[str]) -> dict[str, list[str]]:
-    """Columns by their name with * for the number at the end, but for those of times; those of
-    contacts together, and those of a wrench; beside these a column that is named as their group is
-    in none."""
-    groups: dict[str, list[str]] = {}
-    if contacts := contact_columns(names)[0]:
-        groups[CONTACTS] = contacts
-    if set(FORCES) <= set(names) - set(contacts):
-        # beside a quaternion these are the translation of a pose
-        torques = set(TORQUES) <= set(names) and not set(QUATERNION) <= set(names)
-        groups[WRENCH] = [*FORCES, *(TORQUES if torques else ())]
-    known = {*groups, *(name for columns in groups.values() for name in columns)}
-    for name in names:
-        if name not in known and name.lower().partition("_")[0] not in TIME_NAMES:
-            groups.setdefault(re.sub(r"\d+$", "*", name), []).append(name)
-    return groups
 
 
 def _stream(
@@ -178,7 +174,7 @@ def _stream(
         dated = pa.types.is_timestamp(batch.column(time).type)
         parts.append(_numbers(batch, [time, *wanted], file))
     table = np.concatenate(parts) if parts else np.empty((0, 1 + len(wanted)))
-    unit = time.lower().rpartition("_")[2]
+    _, unit = split_unit(time)
     stated = unit if unit in TIME_UNITS else "s" if given is None else given.time_unit
     times = table[:, 0] * TIME_UNITS["ns" if dated else stated]
     if given is None:
@@ -247,13 +243,16 @@ def _batches(file: Path, columns: list[str], notes: list[str]) -> Iterator[pa.Re
     with file.open("rb") as stream:
         stream.seek(max(size - 1, 0))
         whole = stream.read(1) in (b"\n", b"\r")
+    delimiter = _delimiter(file)
     options = {
         "read_options": csv.ReadOptions(
             use_threads=False, column_names=_columns(file), skip_rows=1
         ),
-        "parse_options": csv.ParseOptions(invalid_row_handler=skip),
+        "parse_options": csv.ParseOptions(delimiter=delimiter, invalid_row_handler=skip),
     }
-    convert = csv.ConvertOptions(include_columns=columns)
+    convert = csv.ConvertOptions(
+        include_columns=columns, decimal_point=_decimal_point(file, delimiter)
+    )
     try:
         with csv.open_csv(file, convert_options=convert, **options) as reader:
             convert.column_types = dict(map(_widest, reader.schema))
@@ -306,20 +305,3 @@ def _numbers(batch: pa.RecordBatch, columns: list[str], file: Path) -> np.ndarra
             remedy="write numbers with decimal points, or leave the column out of the map",
         ) from error
     return np.stack(parts, axis=1)
-
-
-def _suggest(stream: Stream) -> list[StreamMap]:
-    """What a group of columns could be, by its name and size."""
-    name = stream.name.rpartition("/")[2].lower()
-    width = len(stream.fields)
-    contacts, unit = contact_columns(stream.fields)
-    if contacts == list(stream.fields):
-        return [StreamMap(stream.name, CONTACTS, length=width, unit=unit)]
-    words = set(re.split(r"[^a-z]+", name))
-    if words & set(OTHER_NAMES):
-        return []
-    if words & set(JOINT_NAMES):
-        return [StreamMap(stream.name, JOINTS, stream.fields if width < 2 else ())]
-    if name.startswith(("wrench", "force", "ft")) and width in (3, 6):
-        return [StreamMap(stream.name, WRENCH)]
-    return [StreamMap(stream.name, TAXELS, length=width)] if width >= MIN_TAXELS else []

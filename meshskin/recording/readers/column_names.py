@@ -1,0 +1,146 @@
+"""Columns of a table by their names: their units, which of them are one stream, and what that
+could be.
+
+Columns whose names differ in a number alone are one stream: q_1, q_2 are q_*, q_1_deg, q_2_deg are
+q_*_deg. Columns of contact points, normals and forces are the stream `contacts`, those of a wrench
+`wrench`, and those that have names of joints without such a number `joints` (l_elbow,
+wrist_1_joint, LShoulderPitch_deg).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from ..log_map import TIME_UNITS, UNITS, StreamMap
+from ..message_types import MIN_TAXELS
+from ..recording import QUATERNION
+from ..stream import CONTACTS, JOINTS, TAXELS, WRENCH
+from .contact_columns import contact_columns, plain
+
+TIME_NAMES = {"time", "t", "timestamp", "stamp"}
+"""Names of the column of times, before their unit; without a unit they are in s."""
+JOINT_NAMES = {"q", "j", "joint", "joints", "position", "positions", "angle", "angles"}
+"""Words of the names of columns that could be joint angles."""
+BODY_PARTS = {"shoulder", "elbow", "wrist", "hip", "knee", "ankle", "neck", "head", "torso",
+              "waist", "thumb", "proximal", "distal"}  # fmt: skip
+"""Words of the names of joints that do not say that they are one."""
+OTHER_NAMES = {"qd", "dq", "qdd", "qdot", "dot", "velocity", "velocities", "vel", "speed",
+               "acceleration", "acc", "tau", "torque", "torques", "effort", "efforts", "current",
+               "currents", "temperature", "temp", "voltage", "pwm", "pose", "target", "desired",
+               "d", "des", "cmd", "command", "commanded", "ref", "reference", "setpoint", "error",
+               "status", "mode"}  # fmt: skip
+"""Words of the names of columns that are neither measured joint angles nor taxels."""
+AXES = {"x", "y", "z", "w", *QUATERNION, "fx", "fy", "fz", "force", "pressure"}
+"""Words of the names of single columns that are no angles."""
+ANGLES = {"": "", "rad": "rad", "radian": "rad", "radians": "rad", "deg": "deg", "degree": "deg",
+          "degrees": "deg", "\N{DEGREE SIGN}": "deg"}  # fmt: skip
+"""Units of the names of columns of angles, with those of the map."""
+FORCES, TORQUES = ("fx", "fy", "fz"), ("tx", "ty", "tz")
+"""Names of the columns of a wrench, before their unit."""
+_UNIT = re.compile(r"(?P<base>.+?)_(?P<unit>[^\W\d_]+|\N{DEGREE SIGN})")
+_KNOWN = {*TIME_UNITS, *ANGLES, *(unit.lower() for units in UNITS.values() for unit in units), "nm"}
+"""Units that the end of a name is taken for, in lower case."""
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """The name of a column without its unit, and the unit in lower case, "" without one:
+    q_1_deg, time [ms]."""
+    end = plain(name)
+    match = _UNIT.fullmatch(end)
+    if match is None or (match["unit"] not in _KNOWN and end == name.strip().lower()):
+        return name.strip(), ""
+    return name.strip()[: len(match["base"])], match["unit"]
+
+
+def is_time(name: str) -> bool:
+    """Whether a column is named as one of times, alone or with a unit of time."""
+    base, unit = split_unit(name.lower().lstrip("%_ "))
+    return base in TIME_NAMES and (not unit or unit in TIME_UNITS)
+
+
+def groups(names: Sequence[str]) -> dict[str, list[str]]:
+    """Columns by the name of their stream, but for those of times; beside the streams of contacts,
+    of a wrench and of joints a column that is named as its group is in none."""
+    found: dict[str, list[str]] = {}
+    if contacts := contact_columns(names)[0]:
+        found[CONTACTS] = contacts
+    if wrench := _wrench([name for name in names if name not in contacts]):
+        found[WRENCH] = wrench
+    known = {*found, *(name for columns in found.values() for name in columns)}
+    numbered: dict[str, list[str]] = {}
+    for name in names:
+        if name not in known and not is_time(name):
+            base, end = _base(name)
+            numbered.setdefault(re.sub(r"\d+$", "*", base) + end, []).append(name)
+    for group, columns in numbered.items():
+        if kind := _joint_group(columns):
+            found.setdefault(kind, []).extend(columns)
+        else:
+            found[group] = columns
+    return found
+
+
+def _base(name: str) -> tuple[str, str]:
+    """A name without its unit, and what was left out."""
+    base, _ = split_unit(name)
+    return base, name.strip()[len(base) :]
+
+
+def _wrench(names: Sequence[str]) -> list[str]:
+    """The columns of forces in N and of their torques; none where a direction is missing."""
+    at = {split_unit(name)[0].lower(): name for name in reversed(names)}
+    units = {split_unit(at[name])[1] for name in FORCES if name in at}
+    if not set(FORCES) <= set(at) or units - {"", "n"}:
+        return []
+    # beside a quaternion these are the translation of a pose
+    torques = set(TORQUES) <= set(at) and not set(QUATERNION) <= set(names)
+    return [at[name] for name in (*FORCES, *(TORQUES if torques else ()))]
+
+
+def _words(name: str) -> set[str]:
+    """Words of a name, in lower case: of l_elbow, of LShoulderPitch."""
+    return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
+
+
+def _joint_group(columns: Sequence[str]) -> str:
+    """The group `joints`, with the unit, of columns that have names of joints without a number;
+    empty for others."""
+    base, unit = split_unit(columns[0])
+    words = _words(base)
+    if unit not in ANGLES or words & (OTHER_NAMES | AXES):
+        return ""
+    if len(columns) > 1 and not words & JOINT_NAMES and len(columns) >= MIN_TAXELS:
+        return ""
+    if words & BODY_PARTS or (len(columns) == 1 and words & JOINT_NAMES):
+        return f"{JOINTS}_{ANGLES[unit]}" if unit else JOINTS
+    return ""
+
+
+def suggest(topic: str, columns: Sequence[str]) -> list[StreamMap]:
+    """What a group of columns could be, by its name and size."""
+    name, width = topic.rpartition("/")[2], len(columns)
+    contacts, unit = contact_columns(columns)
+    if contacts == list(columns):
+        return [StreamMap(topic, CONTACTS, length=width, unit=unit)]
+    base, unit = split_unit(name)
+    words = _words(base)
+    if words & {"wrench", "force", "ft"} and width in (3, 6):
+        return [StreamMap(topic, WRENCH)] if unit in ("", "n") else []
+    if words & OTHER_NAMES:
+        return []
+    if words & JOINT_NAMES:
+        bases, units = zip(*map(split_unit, columns), strict=True)
+        if not set(units) <= set(ANGLES):
+            return []
+        alone = name.partition("_")[0] == JOINTS and "*" not in name
+        return [
+            StreamMap(
+                topic, JOINTS, tuple(columns) if alone or width < 2 else (),
+                bases if any(units) else (), unit=ANGLES[units[0]],
+            )
+        ]  # fmt: skip
+    if width < MIN_TAXELS:
+        return []
+    given = {name.lower(): name for name in UNITS[TAXELS]}.get(unit, "")
+    return [StreamMap(topic, TAXELS, length=width, unit=given)]
