@@ -37,7 +37,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--indenter-radius-mm",
         type=radii,
         metavar="MM[,MM...]",
-        help="say what indenters of these radii reach of the visible surface, and recommend one",
+        help="say what indenters of these radii reach of the visible surface; of several, recommend "
+        "one",
     )
     parser.add_argument(
         "--force-n", type=real(above=0.0), help=f"force of these contacts (default {FORCE:g})"
@@ -110,7 +111,7 @@ def radii(text: str) -> tuple[float, ...]:
 
 
 def indenters(options: argparse.Namespace) -> None:
-    """Print what each indenter reaches of the visible surface, and the recommended one."""
+    """Print what each indenter reaches of the visible surface, and which of several is best."""
     from ..contact.material import Material
     from ..exploration.reach import reach, recommendation
 
@@ -124,7 +125,8 @@ def indenters(options: argparse.Namespace) -> None:
     )
     for one in found:
         print(f"  {'indenter':9} {one}")
-    print(f"  {'indenter':9} recommended: {recommendation(found)} (of the visible surface)")
+    if len(found) > 1:
+        print(f"  {'indenter':9} recommended: {recommendation(found)} (of the visible surface)")
 
 
 def patches(found: MeshCheck, names: Mapping[str, Any]) -> None:

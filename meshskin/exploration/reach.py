@@ -183,16 +183,13 @@ def recommended(found: Sequence[Reach]) -> Reach:
 
 
 def recommendation(found: Sequence[Reach]) -> str:
-    """The recommended indenter and what it reaches, beside the largest other one."""
+    """The recommended one of several indenters and what it reaches, beside the largest other one."""
     best = recommended(found)
     if best.share == 0.0:
         return "none reaches anything"
     share = f"{best.share:.0%}"
     text = f"{1e3 * best.radius:g} mm reaches {share}"
-    others = [one for one in found if one is not best]
-    if not others:
-        return text
-    other = max(others, key=SIZE)
+    other = max((one for one in found if one is not best), key=SIZE)
     setting = f"{1e3 * other.radius:g} mm"
     if other.radius == best.radius:
         text += f" with {best.force:.2g} N{OR_LESS}"

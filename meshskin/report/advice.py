@@ -156,7 +156,7 @@ def _contacts(data: ReportData) -> list[str]:
             f"Pass {_named(ids[weak])} on both sides: they were touched, but from too "
             "few sides to determine their position along the skin."
         )
-    few = data.touched & ~weak & (np.asarray(c.readings) < FEW_READINGS)
+    few = data.touched & ~weak & ~left_out & (np.asarray(c.readings) < FEW_READINGS)
     if few.any():
         steps.append(
             f"Press these taxels more often (fewer than {FEW_READINGS} readings each): "

@@ -405,13 +405,15 @@ def test_taxels_that_the_plan_leaves_out_are_not_to_be_passed(case: SimpleNamesp
     """No advice to touch what the indenter does not fit: the reason of the plan stands there."""
     observed = np.tile([True] * 5 + [False], (case.COUNT, 1))
     observed[[13, 14], 0] = False
-    f = collect(replace(case.calibration(), observed=observed), case.skin())
+    readings = np.where(np.arange(case.COUNT) == 13, 3, 40)
+    f = collect(replace(case.calibration(), observed=observed, readings=readings), case.skin())
     reasons = {"3": "concave", "13": "edge"}
     text = " ".join(
         next_steps(replace(f, recording=SimpleNamespace(metadata={"unreachable": reasons})))
     )
     assert "The plan does not reach taxel 3 (concave): try a smaller indenter" in text
     assert "The plan does not reach taxel 13 (edge)" in text
+    assert "more often" not in text
     assert "Pass taxel 14 on both sides" in text
     assert "Extend the contact path to taxel 40" in text
     lost = {"13": "given up: the contact ran over an edge of the body; round the edge"}

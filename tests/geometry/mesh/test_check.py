@@ -247,6 +247,8 @@ def test_indenters_are_compared(ball, tmp_path, capsys):
     assert "indenter  4 mm reaches 100% with 1 N or less" in out
     assert "recommended: 8 mm reaches 100%, as with 4 mm" in out
     assert out.rstrip().endswith("can be a body")
+    assert cli.main([*line, "8"]) == 0
+    assert "recommended" not in capsys.readouterr().out
     for wrong in ("4,0", "4;8"):
         assert cli.main([*line, wrong]) == 2
         assert "argument --indenter-radius-mm" in capsys.readouterr().err
