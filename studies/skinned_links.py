@@ -11,9 +11,12 @@ dense samples, independent of the planner). It counts as calibrated if the taxel
 its side is; on a skin only where the skin bridges it by at most --bridge-mm.
 
 The table lists the shares: visible points that fit; fitting points that are calibrated; visible
-points that are calibrated; the largest error of a calibrated taxel, mm; and the area, mm^2, of the
-fitting points that are not calibrated, by the reason of the nearest taxel. A figure beside --out
-(skinned.png) has the shares of the visible points.
+points that are calibrated; the largest error of a calibrated taxel, mm, and how many are
+confidently wrong; and the area, mm^2, of the fitting points that are not calibrated, by the reason
+of the nearest taxel. Below it, for each kind: the medians over the meshes, the share of the pooled
+area that fits, on how many meshes GOAL of what fits is calibrated, and the pooled area that is
+lost, by reason. A figure beside --out (skinned.png) has the shares of the visible points. --kind
+takes one of the surfaces; a repeated call skips what --out holds.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ import argparse
 import json
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -29,6 +33,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from dots import dots
+from link_meshes import ERROR, SIGMAS
 from scipy.spatial import cKDTree
 from setups import load_link, pressed
 
@@ -36,6 +41,10 @@ import meshskin as ms
 from meshskin.core.errors import MeshskinError
 from meshskin.report import theme
 
+KINDS = ["bare", "skinned"]
+"""Surfaces that are pressed."""
+GOAL = 0.9
+"""Share of what fits that is to be calibrated on every mesh."""
 POINTS = 1500
 """Points of a mesh."""
 DENSE = 300_000
@@ -45,7 +54,7 @@ OVERLAP = 0.1e-3
 
 
 def main() -> int:
-    """Print the table of all meshes and its medians."""
+    """Print the table of all meshes, and its summary."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("meshes", nargs="+", type=Path)
     parser.add_argument("--radius-mm", type=float, default=8.0)
@@ -56,68 +65,88 @@ def main() -> int:
     parser.add_argument("--bridge-mm", type=float, default=0.5)
     parser.add_argument("--lane-mm", type=float, default=2.5)
     parser.add_argument("--taxels", type=int, default=300)
+    parser.add_argument("--kind", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--out", type=Path, default=Path("skinned.jsonl"))
     options = parser.parse_args()
-    rows = []
-    with options.out.open("w", encoding="utf-8") as out:
+    known = options.out.read_text(encoding="utf-8").splitlines() if options.out.exists() else []
+    rows = [json.loads(text) for text in known]
+    done = {(row["file"], row["kind"]) for row in rows}
+    with options.out.open("a", encoding="utf-8") as out:
         for file in options.meshes:
-            for row in measure_mesh(file, options):
+            kinds = [kind for kind in options.kind if (str(file), kind) not in done]
+            for row in measure_mesh(file, kinds, options) if kinds else ():
                 rows.append(row)
                 out.write(json.dumps(row) + "\n")
                 print(line(row), flush=True)
-    for kind in ("bare", "skinned"):
-        mine = [row for row in rows if row["kind"] == kind and "fit_calibrated" in row]
-        if mine:
-            fit = np.median([row["fit_calibrated"] for row in mine])
-            seen = np.median([row["visible_calibrated"] for row in mine])
-            print(f"median {kind}: {fit:.0%} of what fits, {seen:.0%} of what is visible")
+    for kind in options.kind:
+        print(summary([row for row in rows if row["kind"] == kind]))
     shown: dict[str, dict[str, float | None]] = {}
     for row in rows:
         shown.setdefault(row["mesh"], {})[row["kind"]] = row.get("visible_calibrated")
     figure = dots(shown, "share of the visible points that are calibrated")
     theme.save(figure, options.out.parent, options.out.stem)
-    return 0
+    return int(any(row.get("wrong") for row in rows))
 
 
-def measure_mesh(file: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
-    """The rows of one mesh: bare and skinned."""
+def summary(rows: list[dict[str, Any]]) -> str:
+    """Medians over the meshes of one kind, pooled areas, and what is lost, the largest first; a
+    refused mesh counts as not calibrated."""
+    if not rows:
+        return "none"
+    fit = np.array([row.get("fit_calibrated", 0.0) for row in rows])
+    seen = np.array([row.get("visible_calibrated", 0.0) for row in rows])
+    area, lost = sum(row["fit_mm2"] for row in rows), Counter[str]()
+    for row in rows:
+        lost.update(row.get("lost_mm2", {"refused": row["fit_mm2"]}))
+    wrong = sum(len(row.get("wrong", ())) for row in rows)
+    pooled = 1.0 - lost.total() / area
+    text = (
+        f"{rows[0]['kind']}, {len(rows)} meshes: medians {np.median(fit):.0%} of what fits, "
+        f"{np.median(seen):.0%} of what is visible; pooled {pooled:.0%} of what fits; "
+        f"{GOAL:.0%} of what fits on {(fit >= GOAL).sum()} meshes; {wrong} taxels wrong"
+    )
+    return text + "".join(f"\n    {part / area:6.1%} {why}" for why, part in lost.most_common())
+
+
+def measure_mesh(
+    file: Path, kinds: list[str], options: argparse.Namespace
+) -> Iterator[dict[str, Any]]:
+    """The rows of one mesh, by kind."""
     body = load_link(file)
     radius = 1e-3 * options.radius_mm
     points, normals = even_points(body.mesh)
     seen = visible(body.mesh, points, normals)
     fits = sphere_fits(body.mesh, points, normals, radius)
     feature = 1.5 * radius if options.feature_mm is None else 1e-3 * options.feature_mm
-    thickness, rows = 1e-3 * options.thickness_mm, []
-    for kind in ("bare", "skinned"):
-        row: dict[str, Any] = {"mesh": file.stem, "kind": kind, "fits": share(fits, seen)}
+    thickness, cell = 1e-3 * options.thickness_mm, 1e6 * body.mesh.area / len(points)
+    for kind in kinds:
+        row: dict[str, Any] = {"file": str(file), "mesh": file.stem, "kind": kind}
+        row |= {"fits": share(fits, seen), "fit_mm2": cell * int((seen & fits).sum())}
         begin = process_time()
         try:
             surface = body if kind == "bare" else body.skinned(thickness, feature)
             found = calibrated(surface, radius, options)
         except MeshskinError as refusal:
-            rows.append(row | {"refused": str(refusal)})
+            yield row | {"refused": str(refusal)}
             continue
         depth = surface.closest(points).distance
         far = np.abs(depth) - (thickness if kind == "skinned" else 0.0)
         bridged = far > 1e-3 * options.bridge_mm
         why = np.where(bridged, "bridged", found.reasons_at(points, normals))
-        good, cell = why == "", 1e6 * body.mesh.area / len(points)
-        rows.append(
-            row
-            | {
-                "fit_calibrated": share(good, seen & fits),
-                "visible_calibrated": share(good, seen),
-                "bridged": share(bridged, seen),
-                "largest_error_mm": found.largest_error,
-                "lost_mm2": {
-                    reason: round(cell * count)
-                    for reason, count in Counter(why[seen & fits & ~good].tolist()).most_common(7)
-                },
-                "surface": surface.repairs[-1:] if kind == "skinned" else [],
-                "seconds": process_time() - begin,
-            }
-        )
-    return rows
+        good = why == ""
+        yield row | {
+            "fit_calibrated": share(good, seen & fits),
+            "visible_calibrated": share(good, seen),
+            "bridged": share(bridged, seen),
+            "largest_error_mm": found.largest_error,
+            "wrong": found.wrong,
+            "lost_mm2": {
+                reason: round(cell * count)
+                for reason, count in Counter(why[seen & fits & ~good].tolist()).most_common()
+            },
+            "surface": surface.repairs[-1:] if kind == "skinned" else [],
+            "seconds": process_time() - begin,
+        }
 
 
 def even_points(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
@@ -164,6 +193,10 @@ class Found:
         self._skin, self._reasons = skin, np.where(good, "", reasons)
         error = np.linalg.norm(calibration.positions - skin.positions, axis=1)[good]
         self.largest_error = float(1e3 * error.max(initial=0.0))
+        sigma = calibration.position_sigma[good]
+        rows = np.flatnonzero((1e3 * error > ERROR) & (error > SIGMAS * sigma))
+        self.wrong = [[float(1e3 * error[k]), float(1e3 * sigma[k])] for k in rows]
+        """Error and stated standard deviation, mm, of the taxels that are confidently wrong."""
 
     def reasons_at(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Why (n,) the nearest taxel that faces the same way is not calibrated; "" where it is."""
@@ -198,7 +231,8 @@ def line(row: dict[str, Any]) -> str:
     return (
         f"{head}  calibrated {row['fit_calibrated']:4.0%} of fitting, "
         f"{row['visible_calibrated']:4.0%} of visible ({row['bridged']:.0%} bridged), error up to "
-        f"{row['largest_error_mm']:.3f} mm, {row['seconds']:.0f} s  {row['lost_mm2']}"
+        f"{row['largest_error_mm']:.3f} mm, {len(row['wrong'])} wrong, {row['seconds']:.0f} s  "
+        f"{row['lost_mm2']}"
     )
 
 
