@@ -37,7 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--indenter-radius-mm",
         type=radii,
         metavar="MM[,MM...]",
-        help="say what indenters of these radii reach of the visible surface; recommend one of several",
+        help="say what indenters of these radii reach of the visible surface, and which is best",
     )
     parser.add_argument(
         "--force-n", type=real(above=0.0), help=f"force of these contacts (default {FORCE:g})"
