@@ -497,7 +497,7 @@ def test_contact_errors_that_vary_slowly_are_no_scatter():
     found = calibrate(recording(points, force, contact, taxel, level), belief(contact="learned"))
     assert found.response.contact_correlation > 0.5
     assert found.verdict.level == "DOUBT"
-    assert any("no scatter" in words for words in found.verdict.reasons)
+    assert any("not scatter" in words for words in found.verdict.reasons)
 
 
 @pytest.mark.parametrize("uneven", [True, False])
