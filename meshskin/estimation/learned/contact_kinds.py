@@ -3,8 +3,9 @@
 The displacement of a contact is normal about the mean of its kind, with one variance along the
 surface for both. Its likelihood is that of its readings with the taxels as estimated, to second
 order. Kinds, means and variance are those of the largest likelihood, by expectation-maximization,
-and are compared with one kind. Contacts of each kind fit one another: no reading tells which is
-right, nor does the mean of both, where the estimate is.
+and are compared with one kind, and with scatter along a line: many kinds of equal shares, whose
+means are quantiles of one distribution. Contacts of each of two kinds fit one another: no reading
+tells which is right, nor does the mean of both, where the estimate is.
 
 Source: Dempster, Laird, Rubin, "Maximum likelihood from incomplete data via the EM algorithm",
 Journal of the Royal Statistical Society B 39 (1977).
@@ -15,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import ndtri
 
 from ...core.arrays import Array
 from ..joint.departures import MIN_SCORE
@@ -23,9 +25,21 @@ from .random_effects import RandomEffects
 
 MIN_SHARE = 0.05
 """Least part of the contacts that is a kind: fewer are accidents."""
-MIN_APART = 0.05, 6.0
-"""Least distance of the means, in contact radii and in standard deviations of a kind: uniform
-errors along a line, of which two kinds make halves, are 3.5 apart, or 5 with none across it."""
+MIN_APART = 0.05
+"""Least distance of the means, in contact radii."""
+QUANTILES = (np.arange(9) + 0.5) / 9
+"""Probabilities of the means along a line of scatter that is none of two kinds: on three bodies the
+score was 1.1 at most for scatter by 0.3 to 1 mm, uniform, normal, Laplace's, Student's or a sine's,
+7 to 25 for halves and quarters displaced by 1 or 2 mm, and 5 with scatter by 0.3 mm beside that."""
+SCATTERS = tuple(
+    law(QUANTILES) / np.sqrt(np.mean(law(QUANTILES) ** 2))
+    for law in (
+        lambda q: q - 0.5,
+        ndtri,
+        lambda q: -np.sign(q - 0.5) * np.log(1 - np.abs(2 * q - 1)),
+    )
+)
+"""Those places, of mean square 1: uniform, normal, and of Laplace's distribution."""
 MIN_SEEN = 0.1
 """Mean square of a direction's part along the surface, relative to the largest, from which the mean
 of a kind is estimated in it: a skin that covers a small part of a ball hardly shows its normal, in
@@ -45,7 +59,7 @@ class ContactKinds:
     """Two kinds of contacts."""
 
     score: float = 0.0
-    """Root of twice the gain of the log-likelihood over that of one kind."""
+    """Root of twice the gain of the log-likelihood over that of one kind, or of scatter."""
     share: float = 0.0
     """Part of the contacts that is displaced."""
     apart: Array = field(default_factory=lambda: np.zeros(3))
@@ -72,23 +86,22 @@ def contact_kinds(effects: RandomEffects) -> ContactKinds:
     if len(likelihood.linear) < MIN_CONTACTS:
         return ContactKinds()
     radius = float(np.median(effects.data.radii))
-    one = likelihood.fitted(np.zeros((1, 3)), 0.1 * radius, np.ones(1))
-    spread = likelihood.principal(one)
-    tried = [
-        likelihood.fitted(
-            one.means + np.outer([-2 * share, 2 * (1 - share)], spread),
-            one.sigma / 3, np.array([1 - share, share]),
-        )
-        for share in SHARES
-    ]  # fmt: skip
-    two = max(tried, key=lambda mixture: mixture.log_likelihood)
+    one = likelihood.fitted(np.zeros(1), np.zeros((2, 3)), 0.1 * radius, np.ones(1))
+    line = np.stack([one.means[0], likelihood.principal(one)])
+    sigma, two = one.sigma / 3, _Mixture(-np.inf, one.means, one.sigma, one.shares)
+    for share in SHARES:
+        places, shares = np.array([-2 * share, 2 * (1 - share)]), np.array([1 - share, share])
+        tried = likelihood.fitted(places, line, sigma, shares)
+        two = max(two, tried, key=lambda mixture: mixture.log_likelihood)
     apart, share = two.means[1] - two.means[0], float(two.shares[1])
     if share > 0.5:
         apart, share = -apart, 1 - share
-    far = np.linalg.norm(apart) > max(MIN_APART[0] * radius, MIN_APART[1] * two.sigma)
-    if not far or share < MIN_SHARE:
+    if np.linalg.norm(apart) < MIN_APART * radius or share < MIN_SHARE:
         return ContactKinds()
-    gain = max(two.log_likelihood - one.log_likelihood, 0.0)
+    equal = np.full(len(QUANTILES), 1 / len(QUANTILES))
+    scatter = [likelihood.fitted(x, line, sigma, equal, equal_shares=True) for x in SCATTERS]
+    less = max(mixture.log_likelihood for mixture in (one, *scatter))
+    gain = max(two.log_likelihood - less, 0.0)
     return ContactKinds((2 * gain) ** 0.5, share, apart)
 
 
@@ -121,6 +134,9 @@ class _Displacements:
         self.linear = np.einsum("mij,mj->mi", self.information + np.diag(prior), errors)
         """Information times displacement (m, 2), without the prior."""
         self.tangents = tangents(effects)[used]
+        value, vectors = np.linalg.eigh(np.einsum("mai,maj->ij", self.tangents, self.tangents))
+        self.seen = vectors[:, value > MIN_SEEN * value[2]]
+        """Directions (3, r) in which the means of kinds are estimated."""
 
     def _posterior(self, mixture: _Mixture) -> tuple[Array, Array, Array]:
         """Displacements (q, m, 2) as of each kind, their variances (m,), and the logarithms (q, m)
@@ -143,23 +159,29 @@ class _Displacements:
         value, vectors = np.linalg.eigh(off.T @ off / len(off))
         return np.asarray(vectors[:, 2] * value[2] ** 0.5)
 
-    def fitted(self, means: Array, sigma: float, shares: Array) -> _Mixture:
-        """The most likely kinds from means (q, 3), sigma, m, and shares (q,) on."""
-        mixture = _Mixture(-np.inf, means, sigma, shares)
+    def fitted(
+        self, places: Array, line: Array, sigma: float, shares: Array, equal_shares: bool = False
+    ) -> _Mixture:
+        """The most likely kinds with means at `places` (q,) along a line, from one (2, 3), its
+        origin and unit, from sigma, m, and from shares (q,) on, which stay with `equal_shares`."""
+        powers = np.stack([np.ones_like(places), places], axis=1)
+        seen, size = self.tangents @ self.seen, 2 * self.seen.shape[1]
+        mixture = _Mixture(-np.inf, powers @ line, sigma, shares)
         for _ in range(ITERATIONS):
             found, variance, log_likelihood = self._posterior(mixture)
             total = np.logaddexp.reduce(log_likelihood, axis=0)
             odds = np.exp(log_likelihood - total)
-            normal = np.einsum("qm,mai,maj->qij", odds, self.tangents, self.tangents)
-            right = np.einsum("qm,mai,qma->qi", odds, self.tangents, found)
-            inverse = np.linalg.pinv(normal, rcond=MIN_SEEN, hermitian=True)
-            means = np.einsum("qij,qj->qi", inverse, right)
+            kinds = np.einsum("qm,mai,maj->qij", odds, seen, seen)
+            normal = np.einsum("qa,qb,qij->aibj", powers, powers, kinds).reshape(size, size)
+            right = powers.T @ np.einsum("qm,mai,qma->qi", odds, seen, found)
+            line = np.linalg.pinv(normal, hermitian=True) @ right.ravel()
+            means = powers @ line.reshape(2, -1) @ self.seen.T
             off = found - np.einsum("mai,qi->qma", self.tangents, means)
             square = float(np.sum(odds * (np.sum(off**2, axis=2) + variance))) / (2 * len(total))
             rise = float(total.sum()) - mixture.log_likelihood
             mixture = _Mixture(
                 float(total.sum()), means, max(square**0.5, LEAST_SIGMA),
-                np.maximum(odds.mean(axis=1), 1e-6),
+                shares if equal_shares else np.maximum(odds.mean(axis=1), 1e-6),
             )  # fmt: skip
             if rise < TOLERANCE:
                 break
