@@ -13,7 +13,7 @@ from ..core.errors import ContactError
 from . import BATCHED, ContactModel, Patch, solve
 from .problem import effective_modulus
 
-LIGHTER = 0.5, 0.25
+LIGHTER = 0.5, 0.25, 0.125
 """Forces, relative to a scene's, that are tried in turn where it is refused. Of the surface of
 iCub's skinned links on which an indenter of 8 mm fits, 3 N reach 62 to 68 %, with a half, too, 70
 to 78 %, with a quarter, too, 74 to 83 %; an eighth adds 1 to 3 %."""

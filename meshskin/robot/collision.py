@@ -49,6 +49,11 @@ BATCH = 4096
 """Postures tested together, which bounds the memory."""
 CONTACT_SLACK = 1e-3
 """Relative tolerance of the test that a sphere touches at one point only."""
+ROUGHNESS = 0.05
+"""Overlap, in depths of the contact, up to which the surface within its patch counts as touched at
+one point: it moves the contact point by a third of the patch at most. On a skinned link, meshed
+every millimetre, ripples of 10 to 40 um are within the patch of 6 % of the points, of a depth of
+1.3 mm."""
 TRACING_SLACK = 0.05
 """Part of the support's radius that is kept clear when its axis is traced: distances to a smooth
 surface over coarse facets change by slightly more than the distance moved."""
@@ -76,7 +81,11 @@ def contact_reasons(
     if not len(points):
         return reason
     large = indenter.radius + depth
-    hollow = body.closest(points + large * normals).distance < large * (1 - CONTACT_SLACK)
+    hit = body.closest(points + large * normals)
+    # within the patch the surface is pressed anyway: there it may be as rough as a model is exact
+    inside = np.linalg.norm(hit.point - points, axis=1) < np.sqrt(indenter.radius * depth)
+    slack = np.maximum(CONTACT_SLACK * large, np.where(inside, ROUGHNESS * depth, 0.0))
+    hollow = large - hit.distance > slack
     reason[hollow] = HOLLOW
     free = np.flatnonzero(~hollow)
     reason[free[_support_meets(body, points[free], normals[free], indenter)]] = SUPPORT

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 import meshskin as ms
 from meshskin.core.se3 import transform
@@ -31,6 +32,30 @@ def reasons(body, along, angles, axis="0 1 0"):
     q = np.stack([np.zeros(len(angles)), angles], axis=1)
     allowed = collision.allowed_collisions(arm, body, mount)
     return list(collision.arm_reasons(arm, body, q, arm.pose(q) @ mount, AWAY, allowed)), allowed
+
+
+def rippled_plate(height):
+    """A plate 12 mm wide whose surface rises and falls by `height`, m, every 2.7 mm along x."""
+    x, y = (v.ravel() for v in np.meshgrid(*[np.linspace(-6e-3, 6e-3, 41)] * 2))
+    z = -height * np.cos(2.0 * np.pi * x / 2.7e-3)
+    k = np.arange(41 * 41).reshape(41, 41)
+    a, b, c, d = k[:-1, :-1].ravel(), k[:-1, 1:].ravel(), k[1:, 1:].ravel(), k[1:, :-1].ravel()
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    return ms.Body.from_mesh(trimesh.Trimesh(np.column_stack([x, y, z]), faces), open=True)
+
+
+def test_ripples_of_a_small_part_of_the_depth_within_the_patch_are_no_hollows():
+    """A sphere that touches the bottom of a ripple of 40 um overlaps its sides by 17 um."""
+
+    def reason(height, depth):
+        hit = rippled_plate(height).closest([[0.0, 0.0, 0.0]])
+        return collision.contact_reasons(
+            rippled_plate(height), hit.point, hit.normal, ms.Indenter.sphere(8e-3), depth
+        )[0]
+
+    assert reason(40e-6, 1.28e-3) == ""
+    assert reason(40e-6, 0.2e-3) == collision.HOLLOW
+    assert reason(200e-6, 1.28e-3) == collision.HOLLOW
 
 
 def test_a_link_that_can_be_clear_of_the_body_is_checked_up_to_the_tip():

@@ -61,7 +61,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     belief, points, hit = _on_body(recording, belief, learned)
     selected, belief = _pressed(recording, belief, index, points, hit)
     unit_checks.check_force(recording.force[selected.used], belief.force_reference or 1.0)
-    selected.leave_out_invalid(belief, hit, learned)
+    selected.leave_out_invalid(belief, points, hit, learned)
     data = _measurements(selected, belief, points, hit, headings, learned)
     motion = data.belief.contact_motion
     if motion is None or "clock_offset" not in motion.labels:
@@ -168,9 +168,9 @@ class _Selection:
         """Contacts of the readings that count."""
         return self.recording.reading_contact[self.read]
 
-    def leave_out_invalid(self, belief: Belief, hit: Closest, learned: bool) -> None:
-        """Leave out contacts at which the model does not hold, and those off the surface; hit: of
-        all contacts."""
+    def leave_out_invalid(self, belief: Belief, points: Array, hit: Closest, learned: bool) -> None:
+        """Leave out contacts at which the model does not hold, and those off the surface; points
+        (m, 3), m, and hit: of all contacts."""
         recording, radius, used = self.recording, belief.indenter.radius, self.used
         if learned:  # which needs no valid model, but a single contact point
             tight = in_hollows(hit.take(used), radius)
@@ -178,6 +178,9 @@ class _Selection:
         else:
             valid = valid_contacts(recording.force[used], hit.curvature[used], belief)
         off = unit_checks.off_surface(hit.take(used), recording.normals[used], radius)
+        if off.any():
+            at = points[used][off], recording.normals[used][off]
+            off[off] = ~unit_checks.on_facets(belief.body, *at, radius)
         self.invalid, self.strays = int(np.sum(~valid)), int(np.sum(off))
         used[used] = valid & ~off
         of_used = used[recording.reading_contact]

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ...contact.reading import same_sheet
 from ...core.arrays import Array
 from ...core.errors import CalibrationError, RecordingError
 from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
+from ...geometry.surface.surface import Facets
 from ...recording.recording import Recording
 from .corrupt_readings import MIN_READINGS, too_many_corrupt
 
@@ -89,6 +91,22 @@ def off_surface(hit: Closest, normals: Array, radius: float) -> np.ndarray:
     for size, least in zip((np.abs(hit.distance), angles(hit, normals)), limits, strict=True):
         off |= size > max(least, SINGLE * float(np.quantile(size, 0.75)) if len(size) else 0.0)
     return off & (off.mean() <= MAX_SINGLE if len(off) else True)
+
+
+def on_facets(body: Body, points: Array, normals: Array, radius: float) -> np.ndarray:
+    """Which contacts (k,) bool are on a flat face of the believed mesh, with that face's normal.
+
+    The smooth surface leaves the faces of a coarse or noisy mesh by tenths of a millimetre and ten
+    degrees. A log that was made on its faces is not off the surface there. radius: of the indenter,
+    m. Contacts of which the smooth surface is on another sheet are not on it.
+    """
+    nearest, facing = Facets(body.facets).closest(points)
+    flat = np.linalg.norm(points - nearest, axis=1) <= MIN_OFF[0] * radius
+    hit = body.surface.nearest(points)
+    turned = np.einsum("ki,ki->k", facing, normals)
+    return np.asarray(
+        flat & (turned >= np.cos(MIN_OFF[1])) & same_sheet(hit.point - points, normals, hit.normal)
+    )
 
 
 def angles(hit: Closest, normals: Array) -> Array:
