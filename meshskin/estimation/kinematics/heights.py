@@ -37,6 +37,9 @@ CORRECTIONS = 2
 valley, along which straight steps would be short."""
 CONVERGED = 0.1
 """Length of the next step, in standard deviations, from which nothing moves that counts."""
+FAR = 3e-4
+"""Standard deviation of the heights, m, from which other starts are tried: half an indentation.
+Errors of a mesh leave less; contacts on a wrong part of the body leave more."""
 MAX_SCATTER = 3e-3
 """Largest standard deviation of the heights, m, of a body that is where it is believed: more than
 the depth of an indentation."""
@@ -124,29 +127,13 @@ class Heights:
         Raises CalibrationError for heights that no x within its priors meets, and for indentations
         deeper than the indenter's radius.
         """
-        prior = self.precision
-        x = np.zeros(len(prior)) if start is None else start
-        pulls = prior.copy()
-        if "clock_offset" in self.model.columns:
-            pulls[self.model.columns["clock_offset"]] = 0.0  # heights leave the clock as it is
-        (r, jacobian, points), damping = self.residuals(x), 1e-3
-        for _ in range(MAX_ITERATIONS):
-            scatter = _scatter(r)
-            weight, alike = self._weights(r, jacobian, points)
-            hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
-            gradient = jacobian.T @ (weight * r) + pulls * x
-            if gradient @ np.linalg.solve(hessian, gradient) < CONVERGED**2:
-                break
-            cost = _cost(r, scatter) / alike + float(prior @ x**2) / 2
-            for _ in range(MAX_TRIALS):
-                step = -np.linalg.solve(hessian + damping * np.diag(prior), gradient)
-                trial, found = self._corrected(x + step, r + jacobian @ step, weight)
-                if _cost(found[0], scatter) / alike + float(prior @ trial**2) / 2 < cost:
-                    x, (r, jacobian, points), damping = trial, found, damping / 10
-                    break
-                damping *= 10
-            else:
-                break  # no step decreases the cost
+        x = self._descended(np.zeros(len(self.precision)) if start is None else start)
+        if _scatter(self.residuals(x)[0]) > FAR:
+            x = min(
+                (x, *map(self._descended, self._aside())),
+                key=lambda found: _scatter(self.residuals(found)[0]),
+            )
+        r = self.residuals(x)[0]
         if (scatter := _scatter(r)) > MAX_SCATTER:
             raise CalibrationError(
                 "the contacts that follow from the joint angles are not on the body",
@@ -162,6 +149,49 @@ class Heights:
                 remedy="check the indenter's place and radius, and the body's mount and scale",
             )
         return x
+
+    def _aside(self) -> Array:
+        """Other starts (2, K + 1): one standard deviation from zero, to both sides, along the
+        direction that moves the heights most. Contacts that are believed a radius too deep are on
+        the other side of a thin wall, or below a crease, from where the fit does not return."""
+        sigma = self.precision**-0.5
+        slopes = self.residuals(np.zeros(len(sigma)))[1] * sigma
+        most = np.linalg.svd(slopes, full_matrices=False)[2][0]
+        return np.array([sigma * most, -sigma * most])
+
+    def _descended(self, x: Array) -> Array:
+        """x (K + 1,) of least cost, by steps from a start."""
+        prior = self.precision
+        pulls = prior.copy()
+        if "clock_offset" in self.model.columns:
+            pulls[self.model.columns["clock_offset"]] = 0.0  # heights leave the clock as it is
+        (r, jacobian, points), damping = self.residuals(x), 1e-3
+        for _ in range(MAX_ITERATIONS):
+            rest = self._unexplained(r, jacobian)
+            scatter = _scatter(rest)
+            weight, alike = self._weights(rest, jacobian, points)
+            hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
+            gradient = jacobian.T @ (weight * r) + pulls * x
+            if gradient @ np.linalg.solve(hessian, gradient) < CONVERGED**2:
+                break
+            cost = _cost(r, scatter) / alike + float(prior @ x**2) / 2
+            for _ in range(MAX_TRIALS):
+                step = -np.linalg.solve(hessian + damping * np.diag(prior), gradient)
+                trial, found = self._corrected(x + step, r + jacobian @ step, weight)
+                if _cost(found[0], scatter) / alike + float(prior @ trial**2) / 2 < cost:
+                    x, (r, jacobian, points), damping = trial, found, damping / 10
+                    break
+                damping *= 10
+            else:
+                break  # no step decreases the cost
+        return x
+
+    def _unexplained(self, r: Array, jacobian: Array) -> Array:
+        """What the unknowns leave of residuals r (m,), m, of derivatives `jacobian` (m, K + 1). A
+        scatter of all of them, before the fit, would weigh the heights less than what was believed,
+        and the fit would stay there."""
+        normal = jacobian.T @ jacobian + MIN_SCATTER**2 * np.diag(self.precision)
+        return np.asarray(r - jacobian @ np.linalg.solve(normal, jacobian.T @ r))
 
     def _corrected(
         self, x: Array, expected: Array, weight: Array
