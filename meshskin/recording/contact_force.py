@@ -23,7 +23,7 @@ from ..robot.contact_kinematics import JOINT_OFFSET, SIGMAS
 from ..robot.robot import Robot
 from .log_map import StreamMap
 from .stream import Stream
-from .tare import BLOCK, MIN_REST, at_rest
+from .tare import BLOCK, MIN_REST, at_rest, blocks
 
 REST_SIGMAS = 3.0
 """Force in standard deviations of its noise at rest, up to which it counts as zero."""
@@ -223,7 +223,8 @@ def _rest_level(
     The median, as the indenter may press beside the taxels, and as the skin's stamps may be late.
     Raises RecordingError where no block has enough frames without contact.
     """
-    block = ((frames - frames[0]) / BLOCK).astype(int)
+    edges = blocks(frames)
+    block = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
     for rest in (at_rest(frames, in_contact), ~in_contact):
         count = np.bincount(block)
         quiet = np.bincount(block[rest], minlength=len(count))

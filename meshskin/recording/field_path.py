@@ -1,7 +1,8 @@
 """Paths to numbers in messages: "position", "wrench.force.x", "sensors[].taxels[].z".
 
-A path is a chain of field names. `name[]` takes every element of a list, `name[2]` the third, and
-`name[key=text]` those whose field `key` is that text: `transforms[child_frame_id=tool0]`.
+A path is a chain of field names. `name[]` takes every element of a list, `name[2]` the third,
+`name[2::3]` every third from there on (a slice of Python's), and `name[key=text]` those whose field
+`key` is that text: `transforms[child_frame_id=tool0]`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from ..core.arguments import repr_short
 from ..core.errors import ConfigError, RecordingError, UnknownNameError
 
-_STEP = re.compile(r"(\w+)(?:\[(?:(\d+)|([\w/]+)=([^\]]+))?(\])?)?")
+_STEP = re.compile(r"(\w+)(?:\[(?:(\d+)|(\d*:\d*(?::[1-9]\d*)?)|([\w/]+)=([^\]]+))?(\])?)?")
 MAX_DEPTH = 6
 """Depth to which `numeric_paths` descends; standard messages nest up to five deep."""
 
@@ -24,7 +25,7 @@ Getter = Callable[[Any], list[Any]]
 
 
 def parse(path: str) -> list[tuple[str, str]]:
-    """The steps of a path: a field name and what its brackets hold, "", "[]", "2" or
+    """The steps of a path: a field name and what its brackets hold, "", "[]", "2", "2::3" or
     "key=text". Raises ConfigError for a path that is not one."""
     steps = []
     for part in _split(path):
@@ -132,6 +133,8 @@ def _elements(item: Any, inside: str, path: str) -> list[Any]:
     if "=" in inside:
         key, _, text = inside.partition("=")
         return [part for part in item if str(_field(part, key, path)) == text]
+    if ":" in inside:
+        return list(item[slice(*(int(part) if part else None for part in inside.split(":")))])
     if int(inside) >= len(item):
         raise RecordingError(
             f"the list in the field path {path} is shorter than its number",

@@ -47,6 +47,8 @@ KNOWN: dict[str, tuple[str, tuple[str, ...]]] = {
 tactile_msgs (TactileState), XELA (SensStream) and GenTact (SensorData)."""
 NAME_PATHS = {"JointState": "name"}
 """Field paths of the joint names."""
+TIME_PATHS = {"SensStream": "sensors[0].time"}
+"""Field paths of the times, s, of types without a header; they are proposed where not zero."""
 TRANSFORMS = "TFMessage"
 """The type that holds poses of many frames, of which a path selects one."""
 IGNORED = ("Image", "CompressedImage", "PointCloud", "PointCloud2", "OccupancyGrid", "LaserScan")
@@ -78,11 +80,13 @@ def suggestions(topic: str, message_type: str, message: Any) -> list[StreamMap]:
         kind, paths = KNOWN[name]
         try:
             found = sum(len(field_path.numbers(field_path.getter(p)(message), p)) for p in paths)
+            time = TIME_PATHS.get(name, "")
+            time = time if time and any(field_path.getter(time)(message)) else ""
         except MeshskinError:
             return _by_arrays(topic, message)  # another package has a type of the same name
         length = found if kind == TAXELS else None
         names = (NAME_PATHS[name],) if name in NAME_PATHS else ()
-        return [StreamMap(topic, kind, paths, names, length)] if found else []
+        return [StreamMap(topic, kind, paths, names, length, time=time)] if found else []
     return _by_arrays(topic, message)
 
 

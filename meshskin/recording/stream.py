@@ -111,10 +111,13 @@ class Stream(Value):
                 f"{self.name} has no samples", remedy="check the map and the length of the log"
             )
         if (row := self.backward) is not None:
+            received = "/" in self.type  # lines and rows have no time of receipt
             raise RecordingError(
                 f"the time of {self.name} runs backwards",
                 value=f"{self.times[row]:.6f} s after {self.times[row - 1]:.6f} s in message {row}",
-                remedy='take the time of receipt (time = "receipt" in the map), or cut the log',
+                remedy='take the time of receipt (time = "receipt" in the map), or cut the log'
+                if received
+                else "cut the log there",
             )
 
 

@@ -102,7 +102,7 @@ def tare(
     noise, floor = np.concatenate([_noise(values[:, p], span[p]) for p in columns], axis=1)
     if not noise.any():
         raise _silent(name, "no reading ever changes")
-    edges = _blocks(times)
+    edges = blocks(times)
     densest = np.concatenate([_densest(values[:, part], edges) for part in columns], axis=1)
     levels = _smoothed(densest)
     on, off = thresholds(n, t)
@@ -225,7 +225,7 @@ def _scatter(readings: NDArray[np.floating], noise: Array, floor: Array, on: flo
     return np.asarray(np.where(noise > 0, np.maximum(scatter, floor), 0.0))
 
 
-def _blocks(times: Array) -> NDArray[np.intp]:
+def blocks(times: Array) -> NDArray[np.intp]:
     """Rows (b + 1,) where blocks of time begin and end, none much shorter than BLOCK."""
     count = max(1, round((times[-1] - times[0]) / BLOCK))
     edges = np.searchsorted(times, np.linspace(times[0], times[-1], count + 1)[:-1])

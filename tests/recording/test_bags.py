@@ -234,21 +234,20 @@ TACTILE = {
 GENTACT = {"gentact/msg/SensorData": "int32[] sensor_values\nint32 num_sensors\nstring timestamp"}
 
 
-def xela(store, row):
+def xela(store, row, time=0.0):
     types = store.types
     taxels = [types["xela_server_ros2/msg/Taxel"](x=1, y=2, z=int(z)) for z in row]
     halves = [
-        types["xela_server_ros2/msg/SensorFull"](time=0.0, taxels=t)
+        types["xela_server_ros2/msg/SensorFull"](time=time, taxels=t)
         for t in (taxels[:6], taxels[6:])
     ]
     return types["xela_server_ros2/msg/SensStream"](sensors=halves)
 
 
-def tactile(store, row, time=3.0):
+def tactile(store, row, time=3.0, order="ab"):
     channel = store.types["sensor_msgs/msg/ChannelFloat32"]
-    sensors = [
-        channel(name=n, values=v.astype(np.float32)) for n, v in (("a", row[:6]), ("b", row[6:]))
-    ]
+    parts = {"a": row[:6], "b": row[6:]}
+    sensors = [channel(name=n, values=parts[n].astype(np.float32)) for n in order]
     header = robot_log.header(store, time)
     return store.types["tactile_msgs/msg/TactileState"](header=header, sensors=sensors)
 
@@ -273,6 +272,35 @@ def test_skins_with_their_own_messages(tmp_path, definitions, make):
     assert (guess.kind, guess.length) == ("taxels", 9)
     for stream in (guess, StreamMap("/skin", "taxels")):
         np.testing.assert_array_equal(read_log(path, LogMap((stream,)))["/skin"].values, rows)
+
+
+def test_the_time_of_a_sensor_is_proposed_where_it_is_set(tmp_path):
+    path, kind = tmp_path / "skin.mcap", list(XELA)[-1]
+    rows = [(k / 10, lambda store, k=k: xela(store, np.arange(9), 5 + k / 10)) for k in range(3)]
+    robot_log.write_types(path, "/skin", kind, XELA, rows)
+    (guess,) = read_and_suggest(path)[1]["/skin"]
+    assert guess.time == "sensors[0].time"
+    np.testing.assert_allclose(read_log(path, LogMap((guess,)))["/skin"].times, [5, 5.1, 5.2])
+
+
+def test_sensors_in_another_order_keep_their_taxels(tmp_path):
+    path, kind = tmp_path / "skin.mcap", next(iter(TACTILE))
+
+    def write(*orders):
+        rows = [(k, lambda s, o=o: tactile(s, np.arange(9), order=o)) for k, o in enumerate(orders)]
+        robot_log.write_types(path, "/skin", kind, TACTILE, rows)
+
+    write("ab", "ba", "ab")
+    stream = read_log(path, LogMap((StreamMap("/skin", "taxels"),)))["/skin"]
+    np.testing.assert_array_equal(stream.values, [np.arange(9)] * 3)
+    write("a", "b", "a", "b")  # two skins in turn
+    with pytest.raises(RecordingError, match=r"message 1 .* has other elements .* got b, limit: a"):
+        read_log(path, LogMap((StreamMap("/skin", "taxels"),)))
+    by_name = tuple(f"sensors[name={name}].values" for name in "ab")
+    with pytest.raises(RecordingError, match=r"find other numbers of values .*\(0, 3\).*\(6, 0\)"):
+        read_log(path, LogMap((StreamMap("/skin", "taxels", by_name),)))
+    only = LogMap((StreamMap("/skin", "taxels", by_name[1:]),))
+    np.testing.assert_array_equal(read_log(path, only)["/skin"].values, [[6, 7, 8]] * 2)
 
 
 def test_one_sensor_is_taken_by_its_name(tmp_path):

@@ -111,3 +111,14 @@ def test_joints_that_the_weight_does_not_need_do_not_matter():
     force, notes = contact_force(time, touched, [(stream, GIVEN)], robot, names, more)
     assert "carries 0.8" in notes[0]
     assert np.sqrt(np.mean((force - truth)[touched] ** 2)) < 0.1
+
+
+def test_the_level_of_a_short_last_block_is_not_that_of_a_contact_beside_the_taxels():
+    """Half a second after the last whole block, of which most is pressed where no taxel answers."""
+    world = stroking(1, mass=0.0)
+    some = world[0] < 40.5
+    world = [part[some] for part in world]
+    pressed = world[0] > 40.1
+    world[3][pressed, :3] += [0.0, 0.0, 3.0]
+    force, _ = found(world, None)
+    assert np.median(force[pressed]) == pytest.approx(3.0, abs=0.1)

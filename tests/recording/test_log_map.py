@@ -67,6 +67,7 @@ def test_bad_maps_are_refused_in_one_line(tmp_path, text, words):
 MESSAGE = {
     "pads": [{"name": "a", "v": np.array([1.0, 2.0])}, {"name": "b", "v": np.array([3.0])}],
     "force": {"x": 4.0},
+    "data": np.arange(6.0),
 }
 
 
@@ -78,6 +79,8 @@ MESSAGE = {
         ("pads[name=a].v", [1, 2]),
         ("pads[name=c].v", []),
         ("force.x", [4]),
+        ("data[2::3]", [2, 5]),
+        ("data[:2]", [0, 1]),
     ],
 )
 def test_field_paths(path, values):
@@ -93,6 +96,7 @@ def test_field_paths(path, values):
         ("force[].x", "brackets .* belong to lists"),
         ("force.x.y", "nothing is below y"),
         ("pads[].name", "must contain numbers"),
+        ("data[::0]", "field path must be names"),
     ],
 )
 def test_field_paths_that_lead_nowhere(path, words):
@@ -101,4 +105,4 @@ def test_field_paths_that_lead_nowhere(path, words):
 
 
 def test_numbers_of_unknown_messages_are_found():
-    assert dict(field_path.numeric_paths(MESSAGE)) == {"pads[].v": 3, "force.x": 1}
+    assert dict(field_path.numeric_paths(MESSAGE)) == {"pads[].v": 3, "force.x": 1, "data": 6}

@@ -270,6 +270,13 @@ def test_times_that_cannot_be_in_their_unit_are_refused(tmp_path, column, times)
         read_log(path, TAXELS)
 
 
+def test_times_that_run_backwards_have_a_remedy_that_tables_know(tmp_path):
+    times = 0.02 * np.arange(N)
+    path = parquet(tmp_path / "log.parquet", {"time": times[::-1], "skin_1": np.ones(N)})
+    with pytest.raises(RecordingError, match="in message 1; cut the log there"):
+        read_log(path, TAXELS).streams[0].check_times()
+
+
 def test_rows_without_a_time_are_counted(tmp_path):
     times = 0.02 * np.arange(N)
     times[3] = np.nan

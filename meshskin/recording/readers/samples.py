@@ -47,6 +47,10 @@ class Samples:
             )
         self.paths = [(path, field_path.getter(path)) for path in paths]
         self.selects = any(field_path.selects(path) for path in paths)
+        heads = {field_path.parse(path)[0] for path in paths}
+        self._lists = [name for name, inside in heads if inside == "[]" and stream.kind == TAXELS]
+        self._sensors: dict[str, tuple[str, ...]] = {}
+        self._sizes: tuple[int, ...] = ()
         self.count = self.messages = 0
         self.expected = expected
         self.times = np.empty(expected or FIRST_ROWS)
@@ -67,9 +71,12 @@ class Samples:
             if self._plain is not None:
                 row = self._plain(message)
             else:
+                for name in self._lists:
+                    self._order_sensors(message, name)
                 parts = [field_path.numbers(get(message), path) for path, get in self.paths]
                 if self.selects and not any(map(len, parts)):
                     return
+                self._check_selected(tuple(map(len, parts)))
                 row = parts[0] if len(parts) == 1 else np.concatenate(parts)
             time = self._when(message, receipt)
         except MeshskinError as error:
@@ -85,6 +92,41 @@ class Samples:
         if not self.messages and self.map.kind != CONTACTS:
             self._plain = field_path.plain_getter([path for path, _ in self.paths], message)
         self.messages += 1
+
+    def _order_sensors(self, message: Any, name: str) -> None:
+        """Put the elements of a list that have names into the order of the first message.
+
+        Raises RecordingError for other names than there.
+        """
+        every = message[name] if isinstance(message, dict) else getattr(message, name, ())
+        labels = tuple(
+            part.get("name", "") if isinstance(part, dict) else getattr(part, "name", "")
+            for part in every
+        )
+        first = self._sensors.setdefault(name, labels)
+        if labels == first or len(set(first)) < len(first):
+            return
+        if sorted(labels) != sorted(first):
+            raise RecordingError(
+                f"{name} has other elements than in the messages before",
+                value=", ".join(labels), limit=", ".join(first),
+                remedy=f'map one of them at a time: values = ["{name}[name={first[0]}]. ..."]',
+            )  # fmt: skip
+        ordered = [every[labels.index(label)] for label in first]
+        if isinstance(message, dict):
+            message[name] = ordered
+        else:
+            setattr(message, name, ordered)
+
+    def _check_selected(self, sizes: tuple[int, ...]) -> None:
+        """Raise RecordingError where paths that select elements find other ones than before."""
+        self._sizes = self._sizes or sizes
+        if self.selects and self.map.kind != CONTACTS and sizes != self._sizes:
+            paths = ", ".join(path for path, _ in self.paths)
+            raise RecordingError(
+                f"{paths} find other numbers of values than before", value=sizes, limit=self._sizes,
+                remedy="map one of them at a time, or leave out what is not in every message",
+            )  # fmt: skip
 
     def _when(self, message: Any, receipt: int) -> float:
         if self._time is not None:

@@ -114,7 +114,7 @@ def read(
     by_name = {stream.name: stream for stream in streams}
     for topic in wanted or ():
         if topic not in by_name:
-            known = list(by_name) or [port.name for port in ports(folder)]
+            known = {*by_name, *(port.name for port in ports(folder))}
             raise UnknownNameError("port", topic, known, f" in {path.name}")
     mapped = tuple(_mapped(by_name[one.topic], one) for one in log_map.streams)
     return Log(path, mapped, tuple(notes)), {}

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 import meshskin as ms
-from meshskin.core.se3 import transform
+from meshskin.core.se3 import exp_so3, transform
 
 CLOCK = 0.037
 """Time by which the skin's stamps are late, s."""
@@ -176,8 +176,21 @@ class StrokingRobot:
         rows = np.arange(2, len(self.motion[0]), 10)
         return self.motion[0][rows], rows
 
-    def streams(self, force=False):
-        """Times and values by topic."""
+    def wrench(self, weight, rng):
+        """Times (m,), s, and wrenches (m, 6), N, of a sensor that is mounted askew in the link: the
+        contact's force and the weight, N, of what follows it; torques are not simulated."""
+        times, angles, points, forces = (values[::2] for values in self.motion)
+        down = -self.chain.poses(angles)[:, :3, 2]  # of the root, in the link
+        push, pressed = np.zeros((len(times), 3)), forces > 0
+        push[pressed] = -self.scene.body.closest(points[pressed]).normal
+        wrench = np.zeros((len(times), 6))
+        mounted = exp_so3([0.3, -0.2, 1.0])
+        wrench[:, :3] = (weight * down + forces[:, None] * push) @ mounted.T + [1.0, -2.0, 5.0]
+        return times, wrench + 0.02 * rng.normal(size=wrench.shape)
+
+    def streams(self, force=False, weight=None):
+        """Times and values by topic; force: with that of the contact along z, weight: with that of
+        a sensor in the arm that carries it, N."""
         rng = np.random.default_rng(200 + self.seed)
         times, angles, _, forces = self.motion
         joint = slice(0, None, 4)
@@ -201,4 +214,6 @@ class StrokingRobot:
             wrench[:, 2] = 5.0 + forces[::2]
             wrench += 0.02 * rng.normal(size=wrench.shape)
             streams["/wrench"] = (times[::2], wrench)
+        if weight is not None:
+            streams["/wrench"] = self.wrench(weight, rng)
         return streams

@@ -89,6 +89,31 @@ def test_a_bag_with_forces_alone(tmp_path, monkeypatch, name):
     assert np.sqrt(np.nanmean(errors**2)) < 8e-5
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["panda.urdf", "icub.urdf"])
+def test_a_bag_with_the_forces_of_a_sensor_that_carries_a_weight(tmp_path, monkeypatch, name):
+    """1.2 kg that turn with the arm: 4 times the force of a contact, at joints that are off."""
+    world, weight = standing(name, 1), 1.2 * 9.80665
+    monkeypatch.setattr(robot_log, "JOINTS", world.chain.joint_names)
+    robot_log.write_mcap(tmp_path / "log.mcap", world.streams(weight=weight))
+    skin = StreamMap("/skin", "taxels", length=len(world.scene.skin))
+    wrench = StreamMap("/wrench", "wrench")
+    log_map = LogMap((StreamMap("/joint_states", "joints"), skin, wrench))
+    frames = log_frames(read_log(tmp_path / "log.mcap", log_map), log_map, world.robot)
+    (note,) = [words for words in frames.notes if "carries" in words]
+    assert float(note.split(" kg")[0].split()[-1]) == pytest.approx(1.2, rel=0.02)
+    log = frames.skin_log
+    true_force = np.interp(log.time - robot_log.EPOCH, world.motion[0], world.motion[3])
+    off = (log.force - true_force)[true_force > 2.5]
+    assert np.sqrt(np.nanmean(off**2)) < 0.1
+    found = calibrated(world, log)
+    assert found.calibration.verdict.level == "PASS"
+    errors = position_errors(found.calibration, world.scene.skin)
+    assert np.isfinite(errors).sum() >= 0.85 * len(world.scene.skin)
+    assert np.sqrt(np.nanmean(errors**2)) < 1e-4
+    assert np.nanmax(errors / found.calibration.position_sigma) < 4
+
+
 def log_without_forces(world):
     """The log of the robot's joints and skin."""
     streams, count = world.streams(), len(world.scene.skin)
