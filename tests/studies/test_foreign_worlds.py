@@ -287,6 +287,26 @@ def test_taxels_that_are_read_one_after_another(study, worlds):
     assert found.response.skew == pytest.approx(np.std(late), rel=0.3)
 
 
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_scan_too_short_to_be_estimated_is_in_the_standard_deviations(study, worlds, seed):
+    """Of 0.1 of a frame; without it 0.2 to 0.3 of the error is stated."""
+    from worlds import sphere
+    from worlds.world import record
+
+    body = ms.Body.sphere(sphere.RADIUS)
+    sample = record(replace(worlds["hertz"], skew=0.1, taxels=61, contacts=620), seed)
+    belief = replace(study.belief(sample, body), contact="hertz")
+    found = ms.calibrate(sample.recording, belief)
+    off = np.linalg.norm(found.positions - sample.positions, axis=1)
+    assert 0.67 < np.sqrt(np.mean(found.position_sigma**2) / np.mean(off**2)) < 1.5
+    assert any("one after another" in words for words in found.factors)
+    sound = record(replace(worlds["hertz"], taxels=61, contacts=620), seed)
+    found = ms.calibrate(sound.recording, belief)
+    off = np.linalg.norm(found.positions - sound.positions, axis=1)
+    assert 0.8 < np.sqrt(np.mean(found.position_sigma**2) / np.mean(off**2)) < 1.25
+    assert not any("one after another" in words for words in found.factors)
+
+
 @pytest.mark.parametrize(
     "name",
     [

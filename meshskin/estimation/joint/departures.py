@@ -213,9 +213,9 @@ class FittedReadings:
             left[:, k] -= np.einsum("ak,ka->k", self.own, part[self.readings.taxel])
         return left, left
 
-    def displaced(self, columns: Array) -> Array:
-        """Displacements (n, 2, q) of the taxels by errors `columns` (k, q) of the readings."""
-        if self.system is not None:
+    def displaced(self, columns: Array, alone: bool = False) -> Array:
+        """Displacements (n, 2, q) of taxels by errors `columns` (k, q); alone: contacts known."""
+        if self.system is not None and not alone:
             weighted = self.curvature[:, None] * columns
             parts = self.system.transposed(self.jacobian, weighted)
             return self.system.solve(*parts)[0][:, :2]
