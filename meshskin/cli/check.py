@@ -39,8 +39,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--indenter-radius-mm",
         type=radii,
         metavar="MM[,MM...]",
-        help="say what indenters of these radii reach of the visible surface; of several, recommend "
-        "one",
+        help="say what indenters of these radii reach of the visible surface, and recommend one "
+        "of several",
     )
     parser.add_argument(
         "--force-n", type=real(above=0.0), help=f"force of these contacts (default {FORCE:g})"

@@ -183,7 +183,7 @@ def recommended(found: Sequence[Reach]) -> Reach:
 
 
 def recommendation(found: Sequence[Reach]) -> str:
-    """The recommended one of several indenters and what it reaches, beside the largest other one."""
+    """The recommended one of several indenters, and what it and the largest other one reach."""
     best = recommended(found)
     if best.share == 0.0:
         return "none reaches anything"
