@@ -7,6 +7,7 @@ belief, compared with the other methods, assessed against the true skin, and rep
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -217,7 +218,9 @@ def _simulated(job: _Job, plan: _Planned) -> _Calibrated:
             path = contacts.path
         hook = job.deadline.hook(job.progress, later)
         out = job.folder / "recording"
-        recording = simulate(scene, job.seed, path=path, out=out, progress=hook)
+        with warnings.catch_warnings():  # summary and report say this
+            warnings.filterwarnings("ignore", "the contact force left|.*of the path w")
+            recording = simulate(scene, job.seed, path=path, out=out, progress=hook)
     remove_results(job.folder)
     with job.timer.stage("calibrate"):
         belief = scene.belief() if plan.budget is None else plan.budget.belief

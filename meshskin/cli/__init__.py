@@ -46,7 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = _note
         try:
             try:
-                options = _parser().parse_args(arguments)
+                options, unknown = _parser().parse_known_args(arguments)
+                if unknown:
+                    options.parser.error(f"unknown arguments: {' '.join(unknown)}")
             except SystemExit as ended:  # after --help or --version, or a wrong command line
                 return int(ended.code or 0)
             code = int(options.command(options))
@@ -143,5 +145,5 @@ def _parser() -> argparse.ArgumentParser:
             description=description or None,
         )
         module.add(command)
-        command.set_defaults(command=module.command)
+        command.set_defaults(command=module.command, parser=command)
     return parser

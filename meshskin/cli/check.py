@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.errors import MeshError, OutputError
+from ..core.progress import Stage
 from . import body_options
 from .options import real, refuse
+from .progress_bar import bar
 
 if TYPE_CHECKING:
     from ..geometry.mesh.check import Finding, MeshCheck
@@ -37,7 +39,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--indenter-radius-mm",
         type=radii,
         metavar="MM[,MM...]",
-        help="say what indenters of these radii reach of the visible surface, and which is best",
+        help="say what indenters of these radii reach of the visible surface, and recommend one "
+        "of several",
     )
     parser.add_argument(
         "--force-n", type=real(above=0.0), help=f"force of these contacts (default {FORCE:g})"
@@ -71,9 +74,13 @@ def command(options: argparse.Namespace) -> int:
         names, what = ("force_n", "young_kpa", "skin_mm"), "{} is for contacts of an indenter"
         refuse(options, names, what, "give --indenter-radius-mm, too")
     given = options.units
-    why = body_options.settle_units(options.mesh, options)
-    raw = body_options.triangles(options.mesh, options)
-    found = check_mesh(raw.vertices, raw.faces, bool(options.open))
+    with bar(quiet=False) as progress:
+        stage = Stage(progress, "check", 2)
+        why = body_options.settle_units(options.mesh, options)
+        raw = body_options.triangles(options.mesh, options)
+        stage.step()
+        found = check_mesh(raw.vertices, raw.faces, bool(options.open))
+        stage.step()
     finite = found.vertices[np.isfinite(found.vertices).all(axis=1)]
     size = 1e3 * np.ptp(finite, axis=0) if len(finite) else np.zeros(3)
     print(f"{options.mesh.name}: {len(found.vertices)} vertices, {len(found.faces)} faces, "
@@ -115,13 +122,15 @@ def indenters(options: argparse.Namespace) -> None:
     from ..exploration.reach import reach, recommendation
 
     young = options.young_kpa
-    found = reach(
-        body_options.load(options.mesh, options),
-        options.indenter_radius_mm,
-        force=FORCE if options.force_n is None else options.force_n,
-        material=None if young is None else Material(young=1e3 * young),
-        skin=None if options.skin_mm is None else 1e-3 * options.skin_mm,
-    )
+    with bar(quiet=False) as progress:
+        found = reach(
+            body_options.load(options.mesh, options),
+            options.indenter_radius_mm,
+            force=FORCE if options.force_n is None else options.force_n,
+            material=None if young is None else Material(young=1e3 * young),
+            skin=None if options.skin_mm is None else 1e-3 * options.skin_mm,
+            progress=progress,
+        )
     for one in found:
         print(f"  {'indenter':9} {one}")
     if len(found) > 1:

@@ -14,7 +14,12 @@ from ..core.errors import ConfigError
 if TYPE_CHECKING:
     from ..skin.skin import Skin
 
-OPTIONS = {"open=True": "--open", " (scan=True)": "", 'kind="collision"': "--link-mesh collision"}
+OPTIONS = {
+    "open=True": "--open",
+    " (scan=True)": "",
+    'kind="collision"': "--link-mesh collision",
+    "from_urdf folders=": "--folder",
+}
 """Words of messages on arguments in Python, and those for the command line."""
 
 

@@ -103,8 +103,8 @@ def summary(result: Result, folder: Path) -> str:
     m, calibration, force = result.metrics, result.calibration, result.metrics["force"]
     found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
     lines = [
-        *filter(None, [force.get("departure"), m.get("budget", {}).get("above")]),
         *([in_options(str(calibration.verdict))] if calibration.verdict is not None else []),
+        *filter(None, [force.get("departure"), m.get("budget", {}).get("above")]),
         f"{m['scene']}: {found} of {m['taxels']} taxels calibrated from "
         f"{calibration.readings.sum()} of {m['readings']} readings in {m['contacts']} contacts",
         *_errors(m),

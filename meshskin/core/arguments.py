@@ -6,7 +6,7 @@ import dataclasses
 import math
 import numbers
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -35,7 +35,7 @@ def check_type(kind: type, value: object, what: str) -> None:
     """
     if isinstance(value, kind):
         return
-    remedy = None
+    remedy = "give a list" if kind is Iterable else None
     if isinstance(value, str | os.PathLike) and hasattr(kind, "load"):
         remedy = f"give {kind.__name__}.load({os.fspath(value)!r})"
     article = "an" if kind.__name__[0] in "AEIOU" else "a"

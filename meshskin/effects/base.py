@@ -141,11 +141,12 @@ def check_effect(effect: Any) -> None:
     stage.
     """
     missing = [n for n in ("name", "stage", "bound", "build") if not hasattr(effect, n)]
-    if missing == ["stage"]:
+    if missing and isinstance(effect, BaseEffect):
         raise ConfigError(
-            f"the effect {effect.name} has no stage",
+            f"the effect {effect.name} has no {' and no '.join(missing)}",
             value=repr_short(effect),
-            remedy='name it, such as class Leak(BaseEffect, stage="transducer", cost=1e-8)',
+            remedy='give it one: class Leak(BaseEffect, stage="transducer", cost=1e-8), with the '
+            "methods bound and build",
         )
     if isinstance(effect, type) or missing:
         raise ConfigError(

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
+import numpy as np
+
+from ..core.arguments import repr_short
 from ..core.arrays import Array
 from ..core.errors import ConfigError
 from .base import NAMES, STAGES, Context, Effect, FrameTransform, PressureTransform, check_effect
@@ -49,8 +53,44 @@ def _place(kind: type) -> int:
 
 
 def build(effects: Iterable[Effect], context: Context, stage: str) -> tuple[Any, ...]:
-    """What the effects of one stage build, in order; empty where none is on."""
-    return tuple(e.build(context) for e in ordered(effects) if e.stage == stage)
+    """What the effects of one stage build, in order; empty where none is on.
+
+    What effects of programs and other packages return is checked, except of the stage "field".
+    """
+    built = []
+    for effect in ordered(effects):
+        if effect.stage == stage:
+            own = effect.name in NAMES or stage == "field"
+            acts = effect.build(context)
+            built.append(acts if own else partial(_checked, effect, acts))
+    return tuple(built)
+
+
+def _checked(effect: Effect, acts: Callable[..., Any], given: Any, *more: Any) -> Any:
+    """What `acts` makes of the given frames or pressures.
+
+    Raises ConfigError unless it is as many frames, or pressures of their shape that are finite
+    where those are.
+    """
+    found, value = acts(given, *more), ""
+    if isinstance(given, Frames):
+        limit = f"{len(given)} frames, as it is given"
+        if not isinstance(found, Frames) or len(found) != len(given):
+            value = repr_short(found)
+    else:
+        limit = f"finite pressures of the shape {given.shape}"
+        if np.shape(found) != given.shape or np.asarray(found).dtype.kind not in "fiu":
+            value = f"the shape {np.shape(found)}" if np.shape(found) else repr_short(found)
+        elif lost := int(np.sum(~np.isfinite(found) & np.isfinite(given))):
+            value = f"{lost} that are not finite"
+    if value:
+        raise ConfigError(
+            f"what the effect {effect.name} returns is unusable",
+            value=value,
+            limit=limit,
+            remedy=f"correct the function that {type(effect).__name__}.build returns",
+        )
+    return found
 
 
 @dataclass(frozen=True)

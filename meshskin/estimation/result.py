@@ -274,7 +274,7 @@ class EstimateDetails:
     add to its reading there, in Pa under the response; None without these. Not saved."""
     iterates: Array | None = None
     """Positions (k, n, 3), m, along the iterations, the start first; None where not kept."""
-    seconds: Mapping[str, float] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     """Seconds of the stages."""
 
 

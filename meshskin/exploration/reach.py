@@ -183,7 +183,7 @@ def recommended(found: Sequence[Reach]) -> Reach:
 
 
 def recommendation(found: Sequence[Reach]) -> str:
-    """The recommended one of several indenters and what it reaches, beside the largest other."""
+    """The recommended one of several indenters, and what it and the largest other one reach."""
     best = recommended(found)
     if best.share == 0.0:
         return "none reaches anything"
@@ -210,15 +210,15 @@ def even_points(body: Body) -> tuple[Array, Array]:
 
 def visible(body: Body, points: Array, normals: Array) -> NDArray[np.bool_]:
     """Whether (n,) a straight line in front of a point (n, 3) leads away from the body."""
-    directions = np.random.default_rng(0).normal(size=(DIRECTIONS, 3))
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    ways = np.random.default_rng(0).normal(size=(DIRECTIONS, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
     scale, out = body.surface.scale, np.zeros(len(points), dtype=bool)
     # embree is single precision: in units of the extent, and a little off the surface
     middle = body.mesh.bounds.mean(axis=0)
     scene = ray_scene((body.mesh.vertices - middle) / scale, body.mesh.faces)
     start = ((points - middle) / scale + 1e-4 * normals).astype(np.float32)
-    for direction in directions:
-        front = np.flatnonzero(~out & (normals @ direction > GRAZING))
-        ahead = np.tile(direction.astype(np.float32), (len(front), 1))
+    for way in ways:
+        front = np.flatnonzero(~out & (normals @ way > GRAZING))
+        ahead = np.tile(way.astype(np.float32), (len(front), 1))
         out[front] = np.asarray(scene.run(start[front], ahead)) < 0
     return out

@@ -86,7 +86,7 @@ def force(
     if ref is not None:
         held &= ref == goal
     figure = theme.new_figure(9.0, 3.2)
-    whole, zoom, close = (theme.add_axes(figure, x, 0.55, 2.4, 2.1) for x in (0.6, 3.5, 6.45))
+    whole, zoom, close = (theme.add_axes(figure, x, 0.55, 2.3, 2.1) for x in (0.6, 3.4, 6.6))
     every = np.ones(len(t), dtype=bool)
     for axes, x, chosen in ((whole, t, every), (zoom, (t - touch) * MM, near), (close, t, held)):
         draw_line(axes, *without_pauses(x[chosen], f[chosen]), color=theme.ESTIMATE, lw=1.0)

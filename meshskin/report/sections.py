@@ -257,15 +257,11 @@ VERDICTS = {
 
 
 def summary_sentence(data: ReportData) -> str:
-    """Where the force left its reference, the verdict, and one sentence about the result."""
-    verdict, departure = data.calibration.verdict, _departure(data)
-    first = f"{departure[0].upper()}{departure[1:]}. " if departure else ""
-    return first + ("" if verdict is None else VERDICTS[verdict.level]) + _result(data)
-
-
-def _departure(data: ReportData) -> str:
-    """Where the simulated force left its reference, in words; "" where it did not."""
-    return str((data.metrics.get("force") or {}).get("departure") or "")
+    """The verdict, where the force left its reference, and one sentence about the result."""
+    verdict = data.calibration.verdict
+    departure = str((data.metrics.get("force") or {}).get("departure") or "")
+    left = f"{departure[0].upper()}{departure[1:]}. " if departure else ""
+    return ("" if verdict is None else VERDICTS[verdict.level]) + left + _result(data)
 
 
 def _result(data: ReportData) -> str:

@@ -327,3 +327,10 @@ def test_messages_name_options_of_the_command_line():
     said = "estimate --unknown modulus force_scale; likely millimetres: --units mm, --open"
     assert in_options(text) == said
     assert in_options('unknown=("gain",)') == "--unknown gain"
+    assert in_options("give from_urdf folders=, or") == "give --folder, or"
+
+
+def test_unknown_arguments_lead_to_the_help_of_their_command(capsys):
+    line = fails(capsys, "scenes", "sphere", "--all")
+    told = "unknown arguments: sphere --all; meshskin scenes --help lists what it takes"
+    assert line.strip() == f"meshskin scenes: {told}"

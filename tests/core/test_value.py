@@ -93,6 +93,14 @@ def test_a_copy_works_as_the_original_does(objects, recording):
     assert again.skin == found.skin
 
 
+def test_two_runs_of_one_scene_are_equal(objects, recording):
+    """They differ in the times that they took alone."""
+    again = replace(recording, metadata=recording.metadata | {"steps_per_second": 1.0})
+    assert again == recording
+    assert ms.calibrate(again, objects["Belief"], "centroid") == objects["Calibration"]
+    assert replace(recording, metadata=recording.metadata | {"threshold_pa": 1.0}) != recording
+
+
 def test_what_differs_is_unequal(objects, sphere):
     c = objects["Calibration"]
     moved = c.poses.copy()

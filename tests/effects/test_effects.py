@@ -149,8 +149,48 @@ def test_an_effect_without_a_stage_is_refused_by_name(sphere):
         def build(self, context):
             return None
 
+    class Idle(effects.BaseEffect, stage="robot", cost=0.0):
+        pass
+
     with pytest.raises(ConfigError, match="the effect nowhere has no stage"):
         sphere.with_(effects=(Nowhere(),))
+    with pytest.raises(ConfigError, match="the effect idle has no bound and no build"):
+        sphere.with_(effects=(Idle(),))
+
+
+@pytest.mark.parametrize(
+    ("stage", "returned", "value"),
+    [
+        ("transducer", lambda given, frames: given[:, :2], r"the shape \(3, 2\)"),
+        ("pressure", lambda given, frames: given * np.nan, "240 that are not finite"),
+        ("transducer", lambda given, frames: None, "None"),
+        ("geometry", lambda frames: None, "None"),
+        ("robot", lambda frames: frames.rows(slice(2)), "Frames"),
+    ],
+)
+def test_what_an_effect_of_a_program_returns_is_checked(context, glide, stage, returned, value):
+    """Readings of two taxels, or none at all, would pass for those of a skin."""
+
+    @dataclass(frozen=True)
+    class Mistaken(effects.BaseEffect, stage=stage, cost=0.0):
+        returns: object = None
+
+        def bound(self, context):
+            return 0.0
+
+        def build(self, context):
+            return self.returns
+
+    def act(returns):
+        (made,) = effects.build((Mistaken(returns),), context, stage)
+        frames = glide(np.zeros(3))
+        given = (frames,) if stage in ("geometry", "robot") else (np.ones((3, 80)), frames)
+        return made(*given), given[0]
+
+    with pytest.raises(ConfigError, match=f"effect mistaken returns is unusable, got .*{value}"):
+        act(returned)
+    right, given = act(lambda given, *frames: given)
+    assert right is given
 
 
 def test_a_field_named_like_a_method_is_refused_by_name(sphere):

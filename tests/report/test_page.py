@@ -17,6 +17,7 @@ from meshskin.core.errors import OutputError, UnknownNameError
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.cross_validation import CrossValidation
 from meshskin.estimation.demonstration import Demonstration
+from meshskin.estimation.uncertainty.verdict import Verdict
 from meshskin.geometry.body import Body
 from meshskin.report import markup, page
 from meshskin.report.advice import next_steps, outlying_taxels
@@ -170,10 +171,14 @@ def test_a_prediction_is_compared_with_the_result(case: SimpleNamespace, tmp_pat
     )
 
 
-def test_a_force_that_left_its_reference_comes_first(case: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_force_that_left_its_reference_comes_after_the_verdict_alone(
+    case: SimpleNamespace, tmp_path: Path
+) -> None:
     force = {"departure": "the contact force left its reference: 37 N", "overshoot": 0.0}
-    text = write_text(case, tmp_path, metrics=case.METRICS | {"force": force}).text
-    assert "The contact force left its reference: 37 N. " in text
+    judged = replace(case.calibration(), verdict=Verdict("PASS"))
+    changes = {"calibration": judged, "metrics": case.METRICS | {"force": force}}
+    text = write_text(case, tmp_path, **changes).text
+    assert "PASS. The contact force left its reference: 37 N. " in text
     assert text.index("left its reference: 37 N") < text.index("taxels were located")
     assert "no overshoot, left its reference later: see above" in text
 

@@ -35,8 +35,24 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def report(scene):
-    return ms.budget(scene, 0.2e-3)
+def stages():
+    """What the budget of `report` told its hook."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def report(scene, stages):
+    return ms.budget(scene, 0.2e-3, progress=lambda *told: stages.append(told))
+
+
+def test_each_stage_counts_to_its_end(report, stages):
+    for name in ("budget", "check"):
+        counts = [told[1:] for told in stages if told[0] == name]
+        done = [count for count, _ in counts]
+        assert done == sorted(done)
+        assert counts[0][0] == 0
+        assert counts[-1][0] == counts[-1][1]
+    assert {told[0] for told in stages} == {"budget", "check"}
 
 
 @pytest.mark.slow

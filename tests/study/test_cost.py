@@ -27,7 +27,14 @@ def scene():
 @pytest.fixture(scope="module")
 def costs(scene):
     """One of its knobs."""
-    return cost(scene, knobs=("dt",), finer=2, targets=(0.1,))
+    stages = []
+    found = cost(
+        scene, knobs=("dt",), finer=2, targets=(0.1,), progress=lambda *told: stages.append(told)
+    )
+    assert stages[:4] == [("reference", done, 3) for done in range(4)]
+    assert [told[1] for told in stages[4:]] == list(range(len(stages) - 4))
+    assert stages[-1] == ("cost", stages[-1][1], stages[-1][1])
+    return found
 
 
 @pytest.fixture(scope="module")

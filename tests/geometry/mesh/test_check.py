@@ -243,7 +243,8 @@ def test_indenters_are_compared(ball, tmp_path, capsys):
     ball.export(tmp_path / "ball.ply")
     line = ["check", str(tmp_path / "ball.ply"), "--units", "m", "--indenter-radius-mm"]
     assert cli.main([*line, "4,8", "--force-n", "1", "--young-kpa", "400"]) == 0
-    out = capsys.readouterr().out
+    out, err = capsys.readouterr()
+    assert [line.split()[0] for line in err.splitlines()] == ["check", "reach"]
     assert "indenter  4 mm reaches 100% with 1 N or less" in out
     assert "recommended: 8 mm reaches 100%, as with 4 mm" in out
     assert out.rstrip().endswith("can be a body")
