@@ -24,6 +24,9 @@ MIN_STUCK = 10
 STUCK_SPREAD = 1.5
 """Spread of their contacts, relative to that of the contacts which a taxel senses, from which it
 is: equal readings of a sound taxel lie within the latter."""
+MIN_COPIED = 10, 0.9
+"""Equal readings of two taxels, and their part of all readings of either, from which they are
+copies: taxels side by side answer different contacts, whatever their resolution."""
 SPIKE_RATIO = 3.0
 """Reading, relative to those of its taxel in neighbouring contacts, from which these do not confirm
 it: over half of its reach a patch falls to .7 of its peak, by Hertz."""
@@ -89,15 +92,27 @@ def stuck_readings(pressure: Array, taxel: np.ndarray, points: Array, reach: flo
     return found
 
 
+def copied_readings(pressure: Array, taxel: np.ndarray, contact: np.ndarray) -> np.ndarray:
+    """Pairs (q, 2) of taxels (k,) whose readings are equal in nearly all contacts (k,) that they
+    answer, as where a driver fills a dead channel with that of its neighbour: noise and place make
+    them differ. Readings at the end of a sensor's range must be left out before."""
+    order = np.lexsort((taxel, pressure, contact))
+    owner = taxel[order]
+    equal = (np.diff(contact[order]) == 0) & (np.diff(pressure[order]) == 0)
+    pairs = np.column_stack([owner[:-1], owner[1:]])[equal]
+    pairs, common = np.unique(pairs, axis=0, return_counts=True)
+    count = np.bincount(taxel, minlength=1)[pairs].max(axis=1, initial=0)
+    return np.asarray(pairs[(common >= MIN_COPIED[0]) & (common >= MIN_COPIED[1] * count)])
+
+
 def repeated_frames(recording: Recording) -> np.ndarray:
-    """Contacts (m,) bool that repeat the one before in point, force and all readings: a frame that
-    was written twice tells nothing new."""
+    """Contacts (m,) bool that repeat an earlier one in point, force and all readings: a frame that
+    was written twice, or a log that was joined to itself, tells nothing new."""
     at, pressure, m = recording.reading_contact, recording.pressure, len(recording.time)
     sums = [np.bincount(at, values, m) for values in (pressure, pressure * recording.reading_taxel)]
     frames = np.column_stack([recording.points, recording.force, *sums])
-    repeated = np.zeros(m, dtype=bool)
-    repeated[1:] = (np.diff(frames, axis=0) == 0).all(axis=1)
-    return repeated
+    first = np.unique(frames, axis=0, return_index=True)[1]
+    return np.asarray(~np.isin(np.arange(m), first))
 
 
 def too_many_corrupt(corrupt: np.ndarray) -> bool:

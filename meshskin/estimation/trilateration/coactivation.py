@@ -16,6 +16,7 @@ from scipy.special import ndtr
 
 from ...core.arrays import Array, means_by_group, sums_by_group
 from .. import chart
+from ..data.corrupt_readings import copied_readings
 from ..data.measurements import Measurements
 from ..data.raw_readings import DENSE
 from ..result import EstimatorResult
@@ -44,6 +45,7 @@ SUM_SIGMAS, SUM_RADIUS = 7.0, 0.7
 noise, where no single reading does, and the radius of the sum, in reaches of a contact. The
 estimate was chosen where the readings are large, hence more than FALSE_ALARM would ask."""
 NOISE = "no reading above the noise"
+COPIED = "its readings are equal to those of taxel {}"
 EVERYWHERE = "responds to contacts all over the body"
 
 
@@ -110,10 +112,16 @@ def live_taxels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the taxels that are estimated from `start`, and the reasons (n,) of the others.
 
-    stuck: rows of taxels with constant readings. Raises CalibrationError if no taxel is left.
+    stuck: rows of taxels with constant readings. Of two taxels with equal readings none tells which
+    one has them from the other. Raises CalibrationError if no taxel is left.
     """
     responds = responsive(data, start.points)
     reasons = np.where(start.found & ~responds, NOISE, start.reasons)
+    inside = data.pressure < data.saturation
+    whole = data.pressure[inside], data.taxel[inside], data.contact[inside]
+    for pair in copied_readings(*whole):
+        for one, other in (pair, pair[::-1]):
+            reasons[one] = COPIED.format(data.ids[other])
     live = np.setdiff1d(np.flatnonzero(reasons == ""), stuck)
     if not len(live):
         raise trilaterate.undetermined(reasons)

@@ -33,6 +33,19 @@ def with_pressure(recording, row, value):
 
 
 @pytest.mark.parametrize("noise", [0.01, None])
+def test_a_log_that_was_joined_to_itself_tells_nothing_new(world, recording, sound, noise):
+    tables = [recording.contacts, recording.readings]
+    twice = []
+    for table in tables:
+        later = np.asarray(table["time"]) + recording.time[-1] + 1.0
+        column = table.column_names.index("time")
+        twice.append(pa.concat_tables([table, table.set_column(column, "time", pa.array(later))]))
+    found = calibrate(Recording(*twice, recording.metadata), world.belief(noise, 0.05))
+    assert found.positions == pytest.approx(sound[noise].positions, abs=1e-7)
+    assert found.position_sigma == pytest.approx(sound[noise].position_sigma, rel=0.01)
+
+
+@pytest.mark.parametrize("noise", [0.01, None])
 @pytest.mark.parametrize("value", [38, 330, 1e5, 1e95, np.inf, np.nan, -1.0])
 def test_one_corrupt_reading_costs_itself(world, recording, sound, noise, value):
     belief, sound = world.belief(noise, 0.05), sound[noise]

@@ -81,6 +81,22 @@ def test_a_stuck_taxel(world, clean):
     assert others(position_errors(found, world.skin), [7], reference) < 1.05
 
 
+def test_a_channel_that_holds_the_readings_of_another(world, clean):
+    """Neither has a place; all others do."""
+    recording, belief, reference, _ = clean
+    near = np.argsort(np.linalg.norm(world.skin.positions - world.skin.positions[7], axis=1))[1]
+    taxel, table = recording.reading_taxel, recording.readings
+    column = table.column_names.index("taxel")
+    copy = table.filter(pa.array(taxel == world.ids[near]))
+    copy = copy.set_column(column, "taxel", pa.array(np.full(len(copy), world.ids[7], np.int32)))
+    table = pa.concat_tables([table.filter(pa.array(taxel != world.ids[7])), copy])
+    found = calibrate(Recording(recording.contacts, table, recording.metadata), belief)
+    lost = np.flatnonzero(np.isnan(found.positions[:, 0]))
+    assert set(lost) == {7, near}
+    assert found.reasons[7] == f"its readings are equal to those of taxel {world.ids[near]}"
+    assert others(position_errors(found, world.skin), lost, reference) < 1.1
+
+
 def test_a_taxel_stuck_on_a_small_skin(world):
     recording, id_ = world.record(0.01, 0.05), world.ids[7]
     away = np.linalg.norm(world.points - world.truth[7], axis=1)
