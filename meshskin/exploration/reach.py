@@ -48,7 +48,7 @@ SIZE = attrgetter("radius", "force")
 UNDER_SKIN = "under the skin: it bridges the place"
 TOO_WIDE = "no contact model holds anywhere"
 OR_LESS = " or less"
-"""A half or a quarter of the force, where the whole is refused."""
+"""A half to an eighth of the force, where the whole is refused."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ class Reach:
     force: float
     """Contact force, N: as asked, or less where its patch would be too wide for a contact model."""
     share: float
-    """Part of the visible surface on which a contact is possible with the force, a half or a
-    quarter of it."""
+    """Part of the visible surface on which a contact is possible with the force, a half to an
+    eighth of it."""
     reasons: Mapping[str, float] = field(default_factory=dict)
     """Part of the visible surface by the reason why no contact is possible, the largest first."""
 

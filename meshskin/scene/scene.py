@@ -236,7 +236,7 @@ class Scene(Value, NamedFields, Card):
 
     @cached_property
     def pressed_patch(self) -> Patch:
-        """`patch`, or the patch under a half or a quarter of the force where the model holds only
+        """`patch`, or the patch under a lighter force (material.LIGHTER) where the model holds only
         there, as plans then press. Raises ContactError where it holds under none of these."""
         return self.indentation.lighter_patch(self.model.name, self._middle_first)
 
