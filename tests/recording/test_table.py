@@ -98,6 +98,15 @@ def test_joints_without_a_number_and_their_unit(tmp_path, joints, others, unit):
     np.testing.assert_array_equal(stream.values, np.arange(N)[:, None] + np.arange(len(columns)))
 
 
+def test_columns_of_text_beside_those_of_a_map(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time,Base [deg],state\n" + "".join(f"{k / 10},{k},idle\n" for k in range(9)))
+    _, could = read_and_suggest(path)
+    assert {name: len(maps) for name, maps in could.items()} == {"state": 0, "joints_deg": 1}
+    (joints,) = read_log(path, LogMap((could["joints_deg"][0],))).streams
+    assert joints.fields == ("Base",)
+
+
 def test_units_of_numbered_columns(tmp_path):
     table = {"t [ms]": 20.0 * np.arange(N)}
     table |= {f"q{k}_deg": np.ones(N) for k in (1, 2)}
@@ -134,6 +143,7 @@ def test_tables_of_other_programs(tmp_path, delimiter, point, mark):
     ("name", "kinds"),
     [
         ("j{}", ["joints"]), ("joints_{}", ["joints"]), ("actual_q_{}", ["joints"]),
+        ("A{} [deg]", ["joints"]), ("actual_TCP_force_{}", ["wrench"]),
         ("actual_qd_{}", []), ("joint_velocity_{}", []), ("tau{}", []), ("jaw{}", ["taxels"]),
     ],
 )  # fmt: skip

@@ -98,15 +98,12 @@ def calibrate_log(
         )
         if noise is None and not _exceeds(found, belief.noise_sigma):
             noise, moved, rounds = belief.noise_sigma, np.inf, rounds - 1
-        late, sigma = found.unknowns.get("clock_offset", (0.0, 0.0))
-        changed = shift > APART if log.force is None else abs(late) > TIMED
-        if changed and abs(late) > sigma and rounds < MAX_ROUNDS:
-            used, clock, heights, x = _started(
-                log, kinematics, path, belief, reference, clock + late
-            )
-            moved = np.inf
-        else:
-            x = heights.with_depth(values)
+        late, last = _clock_error(found, log, shift), clock
+        if anew := bool(late) and rounds < MAX_ROUNDS:
+            clock += late
+            used, clock, heights, x = _started(log, kinematics, path, belief, reference, clock)
+            moved, anew = np.inf, abs(clock - last) > abs(late) / 2  # else it starts as before
+        x = x if anew else heights.with_depth(values)
     kinematics, as_believed = heights.model, np.zeros(len(x))
     if clock:
         as_believed[kinematics.columns["clock_offset"]] = -clock
@@ -149,6 +146,14 @@ def _estimated(
     moved = shift - slopes @ (values - s)
     apart, left = (float(np.median(np.linalg.norm(part, axis=1))) for part in (shift, moved))
     return found, recording, values, (apart, left)
+
+
+def _clock_error(found: Calibration, log: SkinLog, shift: float) -> float:
+    """Error of the clock, s, for which contacts are chosen anew; 0 where they need not be. shift:
+    median displacement of the contacts, m."""
+    late, sigma = found.unknowns.get("clock_offset", (0.0, 0.0))
+    changed = shift > APART if log.force is None else abs(late) > TIMED
+    return late if changed and abs(late) > sigma else 0.0
 
 
 def _exceeds(found: Calibration, noise: float | None) -> bool:

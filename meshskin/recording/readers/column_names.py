@@ -3,8 +3,8 @@ could be.
 
 Columns whose names differ in a number alone are one stream: q_1, q_2 are q_*, q_1_deg, q_2_deg are
 q_*_deg. Columns of contact points, normals and forces are the stream `contacts`, those of a wrench
-`wrench`, and those that have names of joints without such a number `joints` (l_elbow,
-wrist_1_joint, LShoulderPitch_deg).
+`wrench`, and those that have names of joints, or units of angles, without such a number `joints`
+(l_elbow, wrist_1_joint, LShoulderPitch_deg).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ OTHER_NAMES = {"qd", "dq", "qdd", "qdot", "dot", "velocity", "velocities", "vel"
                "acceleration", "acc", "tau", "torque", "torques", "effort", "efforts", "current",
                "currents", "temperature", "temp", "voltage", "pwm", "pose", "target", "desired",
                "d", "des", "cmd", "command", "commanded", "ref", "reference", "setpoint", "error",
-               "status", "mode"}  # fmt: skip
+               "status", "mode", "imu"}  # fmt: skip
 """Words of the names of columns that are neither measured joint angles nor taxels."""
 AXES = {"x", "y", "z", "w", *QUATERNION, "fx", "fy", "fz", "force", "pressure"}
 """Words of the names of single columns that are no angles."""
@@ -110,9 +110,11 @@ def _joint_group(columns: Sequence[str]) -> str:
     words = _words(base)
     if unit not in ANGLES or words & (OTHER_NAMES | AXES):
         return ""
-    if len(columns) > 1 and not words & JOINT_NAMES and len(columns) >= MIN_TAXELS:
-        return ""
-    if words & BODY_PARTS or (len(columns) == 1 and words & JOINT_NAMES):
+    if len(columns) == 1:
+        named = bool(words & (BODY_PARTS | JOINT_NAMES) or ANGLES[unit])
+    else:
+        named = len(columns) < MIN_TAXELS and bool(words & BODY_PARTS)
+    if named:
         return f"{JOINTS}_{ANGLES[unit]}" if unit else JOINTS
     return ""
 
@@ -129,7 +131,7 @@ def suggest(topic: str, columns: Sequence[str]) -> list[StreamMap]:
         return [StreamMap(topic, WRENCH)] if unit in ("", "n") else []
     if words & OTHER_NAMES:
         return []
-    if words & JOINT_NAMES:
+    if words & JOINT_NAMES or ANGLES.get(unit):
         bases, units = zip(*map(split_unit, columns), strict=True)
         if not set(units) <= set(ANGLES):
             return []

@@ -161,7 +161,7 @@ def _stream(
     time = given.time if given is not None and given.time else _time_column(_columns(file), file)
     if time not in _columns(file):
         raise UnknownNameError("column", time, _columns(file), f" in {file.name}")
-    wanted = columns if given is not None else columns[:1]
+    wanted = columns if given is not None else []
     every = [*_columns(file), time, *wanted]
     if twice := [name for name in (time, *wanted) if every.count(name) > 2]:
         raise RecordingError(

@@ -117,6 +117,23 @@ def test_a_small_exploration(small, monkeypatch):
 
 
 @pytest.mark.slow
+def test_a_first_offset_that_comes_out_as_before_is_no_round_more(small, monkeypatch):
+    """The readings say that the clock is 0.6 ms off, and the first offset is the same again."""
+    begin = small.log.time[contact_frames(replace(small.log, force=None))][0]
+    clock = CLOCK - 6e-4
+
+    def again(model, path, time, readings, s):
+        return clock - (begin - time[0])
+
+    monkeypatch.setattr("meshskin.estimation.kinematics.calibrate_log.first_offset", again)
+    monkeypatch.setattr("meshskin.estimation.kinematics.calibrate_log.APART", 2e-5)
+    found = calibrate_log(small.log, small.kinematics(**KNOWN), belief(small))
+    assert found.moved == 0.0
+    assert found.calibration.verdict.level == "PASS"
+    check(small, found, 1.2)
+
+
+@pytest.mark.slow
 def test_contacts_that_have_not_come_to_rest_are_a_doubt(small, monkeypatch):
     monkeypatch.setattr("meshskin.estimation.kinematics.calibrate_log.MAX_ROUNDS", 1)
     found = calibrate_log(small.log, small.kinematics(**KNOWN), belief(small))
