@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-
 CLOCKED = ("created", "steps_per_second")
 """Entries of mappings that a clock says: two runs of the same content differ in them."""
 
