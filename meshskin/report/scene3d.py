@@ -32,6 +32,8 @@ camera sees, so that their numbers and titles are in view."""
 LOWERED = 0.04
 """How far below the middle the camera looks, in its distance: the titles of the axes are below.
 Chosen by looking at a flat body, whose titles were cut."""
+TICKS, FEWEST_TICKS = 6, 3
+"""Most numbers at an axis, as long as the view or as short as it may be; more would overlap."""
 WIDTH = 1.6
 """Width of the view in its height, at least."""
 FRAME_LENGTH = 0.4
@@ -169,6 +171,7 @@ def view_3d(data: ReportData, transparent: bool) -> dict[str, Any]:
         extent = np.concatenate([skin, mesh.vertices])
     if data.recording is not None and len(data.recording.points):
         traces.append(_route(data.recording.points, data.recording.time))
+        extent = _with_path(extent, data.recording.points)
     if true is not None:
         traces += _true_taxels(names, true, between)
     traces.append(_estimated_taxels(names, poses, cov, true))
@@ -179,11 +182,24 @@ def view_3d(data: ReportData, transparent: bool) -> dict[str, Any]:
         traces.append(_residuals(data))
     if (balls := ellipsoids(positions, cov, 0.3 * between)) is not None:
         traces.append(balls)
-    made = layout(skin, data.shown_poses[:, :3, 2], extent)
+    looked_at, normals = skin, data.shown_poses[:, :3, 2]
+    if data.recording is not None and not np.isfinite(skin).any():
+        looked_at, normals = data.recording.points, data.recording.normals
+    made = layout(looked_at, normals, extent)
     for trace in traces:
         if trace["type"] == "mesh3d":
             trace["lightposition"] = made["meta"]["light"]
     return {"data": traces, "layout": made}
+
+
+def _with_path(extent: Array, path: Array) -> Array:
+    """Points (n, 3), m, of what is drawn and those of a path that may be off it, but not farther
+    from its middle than its diagonal: such points would leave nothing else to see."""
+    if not np.isfinite(extent).any():
+        return path
+    low, high = np.nanmin(extent, axis=0), np.nanmax(extent, axis=0)
+    off = np.linalg.norm(path - (low + high) / 2, axis=1)
+    return np.concatenate([extent, path[off < np.linalg.norm(high - low)]])
 
 
 def _route(points: Array, time: Array) -> dict[str, Any]:
@@ -269,7 +285,7 @@ def layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
     cameras = {"whole body": camera(middle, corners), "skin": camera(plane.origin, around)}
     return {
         "scene": {
-            **_axes(low, high),
+            **_axes(low, high, direction),
             "aspectmode": "manual",
             "aspectratio": _vector((high - low) / size),
             "camera": cameras["whole body"],
@@ -287,8 +303,10 @@ def _vector(values: Array) -> dict[str, float]:
     return dict(zip("xyz", np.round(values, 6).tolist(), strict=True))
 
 
-def _axes(low: Array, high: Array) -> dict[str, Any]:
-    """The three axes, from `low` to `high` (3,), m."""
+def _axes(low: Array, high: Array, direction: Array) -> dict[str, Any]:
+    """The three axes, from `low` to `high` (3,), m, which a camera in `direction` (3,) sees."""
+    shown = (high - low) * np.sqrt(1 - direction**2) / np.max(high - low)
+    ticks = np.clip(np.round(TICKS * shown), FEWEST_TICKS, TICKS).astype(int).tolist()
     return {
         f"{axis}axis": {
             "title": {"text": f"{axis} (mm)"},
@@ -297,7 +315,7 @@ def _axes(low: Array, high: Array) -> dict[str, Any]:
             "zeroline": False,
             "showspikes": False,
             "backgroundcolor": "#ffffff",
-            "nticks": 6,
+            "nticks": ticks[k],
         }
         for k, (axis, _) in enumerate(_COLOURS)
     }

@@ -10,10 +10,12 @@ from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
+import pyarrow as pa
 import pytest
 from PIL import Image
 
 from meshskin.core.errors import OutputError
+from meshskin.geometry.body import Body
 from meshskin.report import curves, maps, precision, scene3d, theme
 from meshskin.report.curves import envelope
 from meshskin.report.data import Iterations, ReportData, method_name
@@ -329,6 +331,23 @@ def test_the_view_shows_the_whole_body() -> None:
     assert (np.abs(points @ up) / depth < 1.001 * scene3d.FIELD_OF_VIEW).all()
     buttons = layout["updatemenus"][0]["buttons"]
     assert [b["label"] for b in buttons] == ["whole body", "skin"]
+
+
+def test_the_view_shows_contacts_off_the_body_and_faces_them(case: SimpleNamespace) -> None:
+    """As those of a log in another frame, whose taxels have no estimate."""
+    recording, found = case.recording(), case.calibration()
+    off = np.tile([0.0, -0.18, 0.0], (len(recording.points), 1))
+    off[0] = [0.0, 0.0, 1e3]  # in millimetres
+    values = dict(zip(("px", "py", "pz", "nx", "ny", "nz"), (*off.T, *np.sign(off).T), strict=True))
+    contacts = pa.table(recording.contacts.to_pydict() | values)
+    nowhere = replace(found, poses=np.full_like(found.poses, np.nan))
+    log = replace(recording, contacts=contacts)
+    data = ReportData(nowhere, recording=log, body=Body.sphere(0.1))
+    scene = scene3d.view_3d(data, transparent=False)["layout"]["scene"]
+    assert -190 < scene["yaxis"]["range"][0] < -180
+    assert scene["zaxis"]["range"][1] < 120
+    assert scene["camera"]["eye"]["y"] < -0.5
+    assert scene["xaxis"]["nticks"] > scene["yaxis"]["nticks"] == scene3d.FEWEST_TICKS
 
 
 def test_a_log_without_motion_has_its_force_alone() -> None:

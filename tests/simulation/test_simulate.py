@@ -119,6 +119,7 @@ def test_a_step_that_would_diverge_is_refused_with_one_that_works(sphere):
         ({"mount": np.eye(3)}, r"T_tip_body, got \(3, 3\)"),
         ({"arm": None}, "must be an Arm, not None"),
         ({"effects": ("gaussian_noise",)}, "got 'gaussian_noise'"),
+        ({"effects": GaussianNoise()}, r"must be an Iterable, got .*; give a list"),
         ({"candidates": (3,)}, "scene.candidates must contain Effect objects, got 3"),
     ],
 )

@@ -19,7 +19,7 @@ from . import marks
 from .replay import Snapshot
 from .stage import Carrier, Stage
 
-SKIN, ROBOT = VIEWS = ("skin", "robot")
+SKIN, BODY, ROBOT = VIEWS = ("skin", "body", "robot")
 """What is at rest in the picture."""
 BODY_FACES, LINK_FACES = 20_000, 3_000
 """Most faces of the body and of a link: 0.5 and 0.07 MB, which a browser draws at full rate."""
@@ -34,6 +34,9 @@ LAMP_DISTANCE = 100.0
 SKIN_DISTANCE, ROBOT_DISTANCE = 2.8, 1.5
 """Distance of the camera in units of the radius of the skin, and of the robot, which is slim.
 Chosen by looking."""
+BODY_DISTANCE = 1.65
+"""Distance of the camera in units of the radius of the sphere around the body, which fills viser's
+field of view then: 1 / sin(75 degrees / 2)."""
 HIDDEN = 1e-6
 """Size of a mark that is not shown: a size of zero has no normals."""
 
@@ -188,7 +191,7 @@ class Drawing:
         for name, pose in carrier.link_poses(row).items():
             _move(self.nodes[f"/world/robot/{name}"], pose)
         body = carrier.body[row]
-        still = self.view == SKIN
+        still = self.view != ROBOT
         _move(self.nodes["/body"], np.eye(4) if still else body)
         _move(self.nodes["/world"], inverse(body) if still else np.eye(4))
 
@@ -203,6 +206,11 @@ class Drawing:
         outward = np.cross(across, up)
         radius = float(np.max(np.linalg.norm(points - plane.origin, axis=1), initial=0.02))
         direction = 0.85 * outward - 0.45 * up + 0.3 * across
+        if self.view == BODY:
+            mesh = self.stage.belief.body.mesh
+            centre = mesh.bounds.mean(axis=0)
+            around = float(np.max(np.linalg.norm(mesh.vertices - centre, axis=1)))
+            return centre + BODY_DISTANCE * around * direction, centre, up
         return plane.origin + SKIN_DISTANCE * radius * direction, plane.origin, up
 
     def light_from(self, direction: Array) -> None:

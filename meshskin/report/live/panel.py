@@ -15,7 +15,7 @@ from ...estimation.uncertainty.verdict import PASS
 from .. import theme
 from ..plane import MM
 from . import marks
-from .drawing import ROBOT, SKIN, Drawing
+from .drawing import VIEWS, Drawing
 from .replay import Snapshot
 from .stage import Stage
 
@@ -63,7 +63,7 @@ class Panel:
             )
             self._paused = gui.add_checkbox("pause", initial_value=False)
             self.view = gui.add_dropdown(
-                "look at", (SKIN, ROBOT), initial_value=drawing.view, visible=bool(stage.carrier)
+                "look at", VIEWS if stage.carrier else VIEWS[:2], initial_value=drawing.view
             )
             self.magnified = gui.add_slider(
                 "ellipsoids ×", min=1, max=200, step=1, initial_value=drawing.magnified

@@ -48,7 +48,7 @@ def test_a_stage_without_robot_and_truth_has_none_of_theirs(noisy, touched):
     bare = Stage.of_recording(replace(touched, motion=None), noisy.belief())
     with LivePage(bare, "127.0.0.1", 0, 1.0) as page:
         names = set(page.drawing.nodes)
-        assert not page.panel.view.visible
+        assert set(page.panel.view.options) == {module.SKIN, module.BODY}
     assert "/body/truth" not in names
     assert "/body/indenter/support" not in names
     assert not any(name.startswith("/world/robot") for name in names)
@@ -102,14 +102,14 @@ def test_the_patch_has_the_size_and_the_place_of_the_contact(page, stage, snapsh
     assert patch.visible
 
 
-def test_both_views_show_the_robot_in_the_same_place_of_the_body(page, stage, snapshot):
+def test_all_views_show_the_robot_in_the_same_place_of_the_body(page, stage, snapshot):
     page.show(snapshot)
     nodes, seen = page.drawing.nodes, []
     for view in module.VIEWS:
         page.panel.view.value = view
         page._turn()
         seen.append(np.linalg.inv(pose(nodes["/body"])) @ pose(nodes["/world"]))
-    np.testing.assert_allclose(seen[0], seen[1], atol=1e-6)
+    np.testing.assert_allclose(seen[1:], [seen[0]] * 2, atol=1e-6)
     np.testing.assert_allclose(seen[0], inverse(stage.carrier.body[snapshot.row]), atol=1e-6)
     np.testing.assert_allclose(pose(nodes["/world"]), np.eye(4), atol=1e-9)
 
@@ -119,6 +119,15 @@ def test_the_camera_looks_at_the_skin_from_outside(page, stage):
     position, target, _ = page.drawing.camera(0)
     assert np.linalg.norm(target - stage.recording.points.mean(axis=0)) < 5e-3
     assert stage.belief.body.closest(position[None]).distance[0] > 0.02
+
+
+def test_the_camera_frames_the_whole_body(page, stage):
+    page.drawing.view = module.BODY
+    position, target, _ = page.drawing.camera(0)
+    away = stage.belief.body.mesh.vertices - position
+    cosine = away @ (target - position) / np.linalg.norm(target - position)
+    angles = np.degrees(np.arccos(cosine / np.linalg.norm(away, axis=1)))
+    assert 25 < angles.max() < 37.5  # half the height of viser's view
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
