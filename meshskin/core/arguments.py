@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import Array
-from .errors import ConfigError, MeshskinError, UnknownNameError
+from .errors import ConfigError, MeshskinError, UnknownNameError, reason
 
 T = TypeVar("T")
 REPR_LENGTH = 60
@@ -49,6 +49,15 @@ def check_path(what: str, value: object, *, error: type[MeshskinError] = ConfigE
     if not isinstance(value, str | os.PathLike):
         raise error(f"{what} must be a path", value=repr_short(value), remedy="give a file name")
     return Path(value)
+
+
+def read_text(what: str, path: object, *, error: type[MeshskinError]) -> str:
+    """The text of a file in UTF-8. Raises `error` where it cannot be read, or is not a path."""
+    file = check_path(what, path, error=error)
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as wrong:
+        raise error(f"cannot read {what} {str(file)!r}", value=reason(wrong)) from wrong
 
 
 def check_real(
@@ -106,8 +115,8 @@ def check_array(what: str, values: ArrayLike, *, error: type[MeshskinError] = Co
     """The values as an array of floats of any shape. Raises `error` for other values."""
     try:
         return np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as reason:
-        raise error(f"{what} must be numbers", value=repr_short(values)) from reason
+    except (TypeError, ValueError) as wrong:
+        raise error(f"{what} must be numbers", value=repr_short(values)) from wrong
 
 
 def check_vector(

@@ -20,9 +20,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.arguments import read_text
 from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
-from ..core.errors import ArmError, reason
+from ..core.errors import ArmError
 from ..core.many_points import RowFunction
 from ..core.se3 import inverse
 from ..core.value import Value
@@ -108,11 +109,7 @@ class Arm(Value):
         are held at zero, also those that drive a mimic joint of the chain. Raises ArmError (no
         file, not a URDF, no moving joint), UnknownNameError (no such tip).
         """
-        path = Path(path)
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ArmError(f"cannot read the arm {str(path)!r}", value=reason(error)) from error
+        text, path = read_text("the arm", path, error=ArmError), Path(path)
         own = path.resolve().parents
         every = (*folders, *own[:-1])
         arm = cls.from_text(text, tip, where=f" in {path.name}")

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.arguments import check_array, check_name, check_path, check_real, check_type
+from ..core.arguments import check_array, check_name, check_real, check_type, read_text
 from ..core.arrays import Array
 from ..core.atomic_io import write_text
-from ..core.errors import ArmError, reason
+from ..core.errors import ArmError
 from ..core.se3 import inverse, is_rigid, transform
 from ..core.value import Value
 from ..geometry.body import Body
@@ -56,11 +56,7 @@ class Robot(Value):
         meshes: one or several folders that are searched for the links' meshes (`package://...`),
         besides the file's folder and its parents. Raises ArmError (no file, not a URDF).
         """
-        path = check_path("the URDF of a robot", path, error=ArmError)
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ArmError(f"cannot read the robot {str(path)!r}", value=reason(error)) from error
+        text, path = read_text("the URDF of a robot", path, error=ArmError), Path(path)
         tree = UrdfTree(text, where=f" in {path.name}")
         given = [] if meshes is None else meshes
         given = [given] if isinstance(given, str | os.PathLike) else given

@@ -17,7 +17,7 @@ def test_accuracy_cost(script, tmp_path, capsys):
     assert found["cheapest_seconds"]["0.01"] is None, "the step alone does not get there"
     for name in ("accuracy_cost", "accuracy_cost_sphere_noisy"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
-    assert "cheapest setting" in capsys.readouterr().out
+    assert "fastest setting" in capsys.readouterr().out
 
 
 def test_measurements_are_stored(script, tmp_path):

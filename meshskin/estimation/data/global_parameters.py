@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...contact.learned import PROFILE_SIZE
-from ...core.arrays import Array
+from ...core.arrays import Array, spread_rows
 from ...core.errors import UnknownNameError
 from ...core.se3 import TURN_PER_METRE
 from ...scene.contact_motion import ContactMotion
@@ -242,6 +242,16 @@ class GlobalParameters:
         names = tuple(name for name in NUISANCE if name in sigma)
         values = tuple(sigma[name] for name in names)
         return replace(self, nuisance_names=names, nuisance_sigma=values)
+
+    def of_taxels(
+        self, values: Array, sigma: Array, unit: float, rows: np.ndarray, count: int
+    ) -> dict[str, Array]:
+        """Nuisance parameters with their standard deviations (count, 2), by name, of all taxels:
+        values and sigma (r, q), pressures in units of `unit`, Pa, of the taxels `rows` (r,)."""
+        units = [nuisance_unit(name, unit) for name in self.nuisance_names]
+        pairs = np.stack([values * units, sigma * units], axis=2)
+        every = spread_rows(pairs, rows, count, [np.nan, np.inf])
+        return {name: every[:, k] for k, name in enumerate(self.nuisance_names)}
 
     def value(self, name: str, s: Array, group: int = 0) -> float:
         """The entry of a scalar parameter, of a group, in s (ks,); 0 if it is not declared."""

@@ -12,7 +12,6 @@ import numpy as np
 from ...core.arrays import Array, spread_rows
 from ...scene.belief import Belief
 from .. import chart
-from ..data.global_parameters import nuisance_unit
 from ..data.measurements import Measurements
 from ..result import CENSORING, MOSTLY_OUTLIERS, SURFACE, EstimatorResult
 from ..trilateration import trilaterate
@@ -116,10 +115,12 @@ def _result(optimum: Optimum) -> EstimatorResult:
         six = parametrization.covariances(covariance[:, :6, :6])
         tangential, factors = six[:, :2, :2], [MODULES, MODULE_SURFACE]
     else:
-        own = widened(estimator, covariance[:, :2, :2], scale)
-        tangential, factors = _tangential(estimator, own, fit, found, rivals)
+        wide = widened(estimator, covariance[:, :2, :2], scale)
+        tangential, factors = _tangential(estimator, wide, fit, found, rivals)
         tangential = tangential + found.rejected(scale**0.5)
     modulus, modulus_sigma = _modulus(estimator, shared)
+    deviation, groups = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), np.arange(len(state.z))
+    own, own_sigma = (problem.nuisance(part, groups) for part in (state.z, deviation))
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, parametrization.points()), np.nan),
         rotations=spread(parametrization.rotations(), np.nan),
@@ -141,7 +142,9 @@ def _result(optimum: Optimum) -> EstimatorResult:
             *undetermined(parameters, information / unit, gains),
             *undetermined_motion(parameters, shared),
         ),
-        taxel_unknowns=_taxel_unknowns(estimator, covariance),
+        taxel_unknowns=parameters.of_taxels(
+            own, own_sigma, data.sigma, estimator.live, len(data.ids)
+        ),
         faults=estimator.faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
@@ -169,23 +172,6 @@ def _tangential(
         return tangential + model_dependence(estimator, fit), [SURFACE]
     added, words = found.covariances()
     return tangential + added, [SURFACE, *words]
-
-
-def _taxel_unknowns(estimator: JointEstimator, covariance: Array) -> dict[str, Array]:
-    """Nuisance parameters of all taxels with their standard deviations (., 2), by name; covariance
-    (G, D, D): of the groups."""
-    data, problem = estimator.data, estimator.problem
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    groups, found = np.arange(problem.parametrization.count), {}
-    each = zip((estimator.state.z, sigma), (np.nan, np.inf), strict=True)
-    values = [
-        spread_rows(problem.nuisance(part, groups), estimator.live, len(data.ids), missing)
-        for part, missing in each
-    ]
-    for k, name in enumerate(data.parameters.nuisance_names):
-        unit = nuisance_unit(name, data.sigma)
-        found[name] = np.stack([part[:, k] * unit for part in values], axis=1)
-    return found
 
 
 def _modulus(estimator: JointEstimator, covariance: Array) -> tuple[float, float | None]:

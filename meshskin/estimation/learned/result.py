@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.arrays import Array, spread_rows
 from ..chart import tangential_square
-from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION, nuisance_unit
+from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION
 from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
 from ..joint.held_lags import HELD, HELD_LAGS, held_lags
@@ -92,6 +92,7 @@ def learned_result(
     reasons[live], reasons[live[estimator.broken]] = "", MOSTLY_OUTLIERS
     reasons[live[changed]], lost = GAIN_CHANGES, estimator.broken | changed
     infinite = np.diag([np.inf, np.inf])
+    deviation = np.sqrt(np.diagonal(scale * covariance, axis1=1, axis2=2))
     faults = estimator.faults.copy()
     name_rivals(faults, live, points, rivals.points)
 
@@ -115,7 +116,9 @@ def learned_result(
         ),
         unknowns=_shared_values(effects, scale * shared),
         undetermined=_not_separable(effects, shared),
-        taxel_unknowns=_taxel_unknowns(effects, live, scale * covariance),
+        taxel_unknowns=data.parameters.of_taxels(
+            u.nuisance, deviation[:, 2:], data.sigma * data.unit, live, len(data.ids)
+        ),
         faults=faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
@@ -202,22 +205,6 @@ def _own_misfit(effects: RandomEffects) -> Array:
     chi2 = _chi2(effects)
     own = chi2 / max(float(np.median(chi2)), 1e-300)
     return np.where(own > MAX_CHI2, own, 1.0)
-
-
-def _taxel_unknowns(
-    effects: RandomEffects, live: np.ndarray, covariance: Array
-) -> dict[str, Array]:
-    """NUISANCE of all taxels with their standard deviations (., 2), by name;
-    covariance (n, D, D): of the taxels `live` (n,)."""
-    data, found = effects.data, {}
-    deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    for k, name in enumerate(data.parameters.nuisance_names):
-        unit = nuisance_unit(name, data.sigma * data.unit)
-        values = effects.unknowns.nuisance[:, k] * unit, deviation[:, 2 + k] * unit
-        parts = zip(values, (np.nan, np.inf), strict=True)
-        spread = [spread_rows(part, live, len(data.ids), missing) for part, missing in parts]
-        found[name] = np.stack(spread, axis=1)
-    return found
 
 
 def _few_readings(effects: RandomEffects) -> Array:

@@ -14,9 +14,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...core import se3
+from ...core.arguments import read_text
 from ...core.arrays import Array, Index
 from ...core.atomic_io import write_text
-from ...core.errors import GraphError, reason
+from ...core.errors import GraphError
 from .symbolic_factorization import Int64Array
 from .symmetric_blocks import UPPER
 from .validation import SINGULAR
@@ -143,10 +144,7 @@ def _symmetric(entries: Array, upper: tuple[Index, Index]) -> Array:
 
 def _tables(path: str | Path) -> dict[str, tuple[Array, list[int]]]:
     """For each tag the numbers (k, FIELDS) of its lines, and their line numbers."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise GraphError(f"cannot read {path}", value=reason(error)) from error
+    text = read_text("a pose graph", path, error=GraphError)
     rows: dict[str, list[list[float]]] = {tag: [] for tag in FIELDS}
     lines: dict[str, list[int]] = {tag: [] for tag in FIELDS}
     for number, line in enumerate(text.splitlines(), start=1):

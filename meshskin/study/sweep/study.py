@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...core.arguments import check_integer, check_real
+from ...core.arguments import check_integer, check_path, check_real
 from ...core.config import from_table, quantity, read_toml
 from ...core.errors import ConfigError, StudyError
 from .base_scene import BaseScene, base_scene
@@ -107,7 +107,7 @@ class Study:
     @classmethod
     def load(cls, path: str | Path) -> Study:
         """A study from a TOML file. Raises ConfigError."""
-        return cls(**_read(Path(path)))
+        return cls(**_read(check_path("a study file", path)))
 
     @property
     def limits(self) -> Limits:

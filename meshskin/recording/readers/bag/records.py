@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
+from ....core.arguments import read_text
 from ....core.errors import RecordingError
 
 MSG, IDL, UNDEFINED = "msg", "idl", ""
@@ -151,10 +152,9 @@ def register_files(store: Any, files: Collection[Path], wanted: Collection[str])
             (one for one in sorted(wanted) if one.rpartition("/")[2] == file.stem),
             f"{package}/msg/{file.stem}",
         )
+        text = read_text("the message definition", file, error=RecordingError)
         try:
-            register(store, get_types_from_msg(file.read_text(encoding="utf-8"), name))
-        except (OSError, UnicodeDecodeError) as error:
-            raise RecordingError(f"cannot read the message definition {file}") from error
+            register(store, get_types_from_msg(text, name))
         except TypesysError as error:
             raise RecordingError(
                 f"{file} is not a message definition: {error}",
