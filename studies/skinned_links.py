@@ -77,6 +77,7 @@ def main() -> int:
             for row in measure_mesh(file, kinds, options) if kinds else ():
                 rows.append(row)
                 out.write(json.dumps(row) + "\n")
+                out.flush()
                 print(line(row), flush=True)
     for kind in options.kind:
         print(summary([row for row in rows if row["kind"] == kind]))
