@@ -71,7 +71,7 @@ def groups(names: Sequence[str]) -> dict[str, list[str]]:
     for name in names:
         if name not in known and not is_time(name):
             base, end = _base(name)
-            numbered.setdefault(re.sub(r"\d+$", "*", base) + end, []).append(name)
+            numbered.setdefault(re.sub(r"\d+(?=\]?$)", "*", base) + end, []).append(name)
     for group, columns in numbered.items():
         if kind := _joint_group(columns):
             found.setdefault(kind, []).extend(columns)
