@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from ..core.errors import MeshskinError
@@ -49,6 +50,9 @@ NAME_PATHS = {"JointState": "name"}
 """Field paths of the joint names."""
 TIME_PATHS = {"SensStream": "sensors[0].time"}
 """Field paths of the times, s, of types without a header; they are proposed where not zero."""
+COMMANDED = {"target", "desired", "d", "des", "cmd", "command", "commands", "commanded", "ref",
+             "reference", "setpoint"}  # fmt: skip
+"""Words of the names of topics and columns whose angles were asked for, not measured."""
 TRANSFORMS = "TFMessage"
 """The type that holds poses of many frames, of which a path selects one."""
 IGNORED = ("Image", "CompressedImage", "PointCloud", "PointCloud2", "OccupancyGrid", "LaserScan")
@@ -86,6 +90,8 @@ def suggestions(topic: str, message_type: str, message: Any) -> list[StreamMap]:
             return _by_arrays(topic, message)  # another package has a type of the same name
         length = found if kind == TAXELS else None
         names = (NAME_PATHS[name],) if name in NAME_PATHS else ()
+        if kind == JOINTS and COMMANDED & set(re.findall("[a-z]+", topic.lower())):
+            return []
         return [StreamMap(topic, kind, paths, names, length, time=time)] if found else []
     return _by_arrays(topic, message)
 

@@ -230,7 +230,7 @@ def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
             if name in names:
                 raise ConfigError(
                     f"the joint {name} is in two streams",
-                    value=stream.name,
+                    value=", ".join(s.name for s, m in pairs if m.kind == JOINTS),
                     remedy="give other names in the map, or leave a stream out",
                 )
             names.append(name)

@@ -274,6 +274,17 @@ def test_skins_with_their_own_messages(tmp_path, definitions, make):
         np.testing.assert_array_equal(read_log(path, LogMap((stream,)))["/skin"].values, rows)
 
 
+@pytest.mark.parametrize(
+    ("topic", "count"), [("/arm/joint_command", 0), ("/desired/q", 0), ("/arm/joint_states", 1)]
+)
+def test_commanded_joints_are_not_proposed(tmp_path, topic, count):
+    path, kind, none = tmp_path / "arm.mcap", "sensor_msgs/msg/JointState", np.empty(0)
+    state = {"name": ["elbow"], "position": np.ones(1), "velocity": none, "effort": none}
+    rows = [(0.1, lambda s: s.types[kind](header=robot_log.header(s, 0.1), **state))]
+    robot_log.write_types(path, topic, kind, {}, rows)
+    assert len(read_and_suggest(path)[1][topic]) == count
+
+
 def test_the_time_of_a_sensor_is_proposed_where_it_is_set(tmp_path):
     path, kind = tmp_path / "skin.mcap", list(XELA)[-1]
     rows = [(k / 10, lambda store, k=k: xela(store, np.arange(9), 5 + k / 10)) for k in range(3)]

@@ -111,15 +111,16 @@ def test_units_of_numbered_columns(tmp_path):
     table = {"t [ms]": 20.0 * np.arange(N)}
     table |= {f"q{k}_deg": np.ones(N) for k in (1, 2)}
     table |= {f"skin {k} [kPa]": np.ones(N) for k in range(5)}
+    table |= {f"/pad/data[{k}]": np.ones(N) for k in range(6)}
     table |= {f"F{axis} [N]": np.ones(N) for axis in "xyz"}
     _, could = read_and_suggest(csv(tmp_path / "log.csv", table))
     found = {name: (maps[0].kind, maps[0].unit, maps[0].names) for name, maps in could.items()}
     assert found == {
         "wrench": ("wrench", "", ()), "q*_deg": ("joints", "deg", ("q1", "q2")),
-        "skin * [kPa]": ("taxels", "kPa", ()),
+        "skin * [kPa]": ("taxels", "kPa", ()), "/pad/data[*]": ("taxels", "", ()),
     }  # fmt: skip
     log = read_log(tmp_path / "log.csv", LogMap(tuple(maps[0] for maps in could.values())))
-    assert [stream.values.shape for stream in log.streams] == [(N, 3), (N, 2), (N, 5)]
+    assert [stream.values.shape for stream in log.streams] == [(N, 3), (N, 2), (N, 5), (N, 6)]
     np.testing.assert_allclose(log.streams[0].times, 0.02 * np.arange(N))
 
 

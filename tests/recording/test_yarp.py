@@ -112,6 +112,12 @@ def test_ports_that_are_not_as_the_map_says_are_refused(dump, stream, kind, word
         read_log(dump[0], LogMap((stream,)))
 
 
+def test_the_nearest_port_is_named_beside_ports_that_are_there(dump):
+    streams = StreamMap("/icub/torso/state:o", "joints"), StreamMap("/icub/skn/left_hand", "taxels")
+    with pytest.raises(UnknownNameError, match="did you mean /icub/skin/left_hand"):
+        read_log(dump[0], LogMap(streams))
+
+
 @needs_recording
 def test_the_contacts_of_a_real_recording():
     """Counts by an independent reading of the text: one `((` or `) (` + four integers a contact."""

@@ -13,7 +13,7 @@ import re
 from collections.abc import Sequence
 
 from ..log_map import TIME_UNITS, UNITS, StreamMap
-from ..message_types import MIN_TAXELS
+from ..message_types import COMMANDED, MIN_TAXELS
 from ..recording import QUATERNION
 from ..stream import CONTACTS, JOINTS, TAXELS, WRENCH
 from .contact_columns import contact_columns, plain
@@ -27,9 +27,8 @@ BODY_PARTS = {"shoulder", "elbow", "wrist", "hip", "knee", "ankle", "neck", "hea
 """Words of the names of joints that do not say that they are one."""
 OTHER_NAMES = {"qd", "dq", "qdd", "qdot", "dot", "velocity", "velocities", "vel", "speed",
                "acceleration", "acc", "tau", "torque", "torques", "effort", "efforts", "current",
-               "currents", "temperature", "temp", "voltage", "pwm", "pose", "target", "desired",
-               "d", "des", "cmd", "command", "commanded", "ref", "reference", "setpoint", "error",
-               "status", "mode", "imu"}  # fmt: skip
+               "currents", "temperature", "temp", "voltage", "pwm", "pose", "error", "status",
+               "mode", "imu", *COMMANDED}  # fmt: skip
 """Words of the names of columns that are neither measured joint angles nor taxels."""
 AXES = {"x", "y", "z", "w", *QUATERNION, "fx", "fy", "fz", "force", "pressure"}
 """Words of the names of single columns that are no angles."""
@@ -72,7 +71,7 @@ def groups(names: Sequence[str]) -> dict[str, list[str]]:
     for name in names:
         if name not in known and not is_time(name):
             base, end = _base(name)
-            numbered.setdefault(re.sub(r"\d+$", "*", base) + end, []).append(name)
+            numbered.setdefault(re.sub(r"\d+(?=\]?$)", "*", base) + end, []).append(name)
     for group, columns in numbered.items():
         if kind := _joint_group(columns):
             found.setdefault(kind, []).extend(columns)

@@ -28,7 +28,7 @@ _Columns = tuple[list[str], str]
 
 def plain(name: str) -> str:
     """The name of a column in lower case, its unit after an underscore: time_ms of `Time [ms]`."""
-    return re.sub(r"\s*[\[(]([^\[\]()]+)[\])]$", r"_\1", name.strip().lower())
+    return re.sub(r"\s*[\[(]([^\d\[\]()][^\[\]()]*)[\])]$", r"_\1", name.strip().lower())
 
 
 def contact_columns(names: Sequence[str]) -> tuple[list[str], str]:
