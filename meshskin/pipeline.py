@@ -39,6 +39,7 @@ from .estimation.uncertainty import metrics as truth
 from .exploration.left_out import coverage
 from .exploration.plan import plan_exploration
 from .recording.recording import Recording
+from .scene.file import read_tables
 from .scene.scene import Scene
 from .simulation.response import (
     ForceResponse,
@@ -148,12 +149,13 @@ def _loaded(job: _Job, budget: float | None) -> Scene:
 
     Raises StudyError where its run takes longer than the deadline.
     """
-    from .study.sensitivity.first_run import least_seconds
+    from .study.sensitivity.first_run import least_loading, least_seconds
 
-    job.deadline.check_run(LEAST_SECONDS - IMPORT_SECONDS)
+    tables, folder = read_tables(job.name)
+    job.deadline.check_run(LEAST_SECONDS - IMPORT_SECONDS + least_loading(tables, folder))
     with job.timer.stage("load"):
         Stage(job.progress, "plan")  # goes on, and ends, in `simulate`
-        scene = Scene.load(job.name)
+        scene = Scene.from_tables(tables, folder)
         if budget is not None:
             scene = scene.with_(budget=budget)
         check_folder(job.folder)

@@ -17,6 +17,7 @@ from meshskin.estimation.calibrate import Estimation
 from meshskin.estimation.comparison import METHODS, compare_methods
 from meshskin.report import page
 from meshskin.report.data import ReportData
+from meshskin.scene.scene import Scene
 from meshskin.study.sensitivity import choice, first_run
 from meshskin.study.sensitivity.request import Request
 
@@ -256,6 +257,18 @@ def test_a_crowded_machine_refuses_before_the_packages_are_read(tmp_path, capsys
         monkeypatch.setattr("meshskin.core.deadline.pace", lambda found=pace: found)
         assert cli.main(["run", "sphere", "--seconds", "12", "--out", str(tmp_path / "out")]) == 2
         assert re.search(r"a run takes 1[45](\.\d)? s at least", capsys.readouterr().err)
+
+
+def test_a_large_mesh_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    """Its file alone says that it takes longer: 1 GB, of which the disk holds the beginning."""
+    with (tmp_path / "large.stl").open("wb") as file:
+        file.write(bytes(84))
+        file.truncate(10**9)
+    scene = tmp_path / "large.toml"
+    scene.write_text('[body]\nmesh = "large.stl"\nunits = "mm"\n[skin]\nspacing_mm = 5\n')
+    monkeypatch.setattr(Scene, "from_tables", lambda *_: pytest.fail("the mesh was read"))
+    with pytest.raises(StudyError, match=r"too short, got 60 s, limit: a run takes \d+ s at least"):
+        pipeline.run(scene, tmp_path / "out", request=Request(seconds=60.0))
 
 
 def test_the_pace_is_that_of_this_process():

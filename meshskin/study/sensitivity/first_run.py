@@ -5,7 +5,10 @@ It is also the result of a request for a time that is too short for another run.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +37,9 @@ taxel must respond."""
 PER_CONTACT = 1.1e-3
 """Least processor seconds of a first run for each contact that `least_seconds` counts: 1.1 ms
 (sphere_noisy) to 2 ms (a shank of the iCub) were measured."""
+PER_BYTE, PER_ASCII_BYTE = 2e-7, 5e-8
+"""Least processor seconds of loading, checking and covering a mesh for each byte of its file:
+binary STL 2.3e-7 to 2.7e-7 (1,310,720 and 81,920 faces), OBJ 4e-7, PLY 7e-7; ASCII STL 6e-8."""
 PACED = 0.1
 """Part of the loop from which its pace is known: the approach and the first touch are over."""
 AFTER_LOOP = 1.3
@@ -65,6 +71,18 @@ class FirstRun:
     def read(self, seed: int) -> Recording:
         """The recording of the steps."""
         return record_steps(self.scene, self.machine, self.path, self.steps, seed)
+
+
+def least_loading(tables: Mapping[str, Any], folder: Path) -> float:
+    """A lower bound of the processor seconds of loading the scene of merged TOML tables whose paths
+    start from `folder`, from the size of its mesh file."""
+    body = tables.get("body")
+    mesh = folder / str(body.get("mesh", "")) if isinstance(body, Mapping) else folder
+    if not mesh.is_file():
+        return 0.0
+    with mesh.open("rb") as opened:
+        ascii_stl = opened.read(5) == b"solid"
+    return mesh.stat().st_size * (PER_ASCII_BYTE if ascii_stl else PER_BYTE)
 
 
 def least_seconds(scene: Scene) -> float:
