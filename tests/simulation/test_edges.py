@@ -120,19 +120,30 @@ def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
         explore([track])
 
 
+def moved_path(path, offset):
+    """The same path of a body that lies at `offset` (3,), m, in its frame."""
+    poses = path.poses @ transform(np.eye(3), -offset)
+    twists = path.twists.copy()
+    twists[:, :3] += np.cross(path.twists[:, 3:], poses[:, :3, 3] - path.poses[:, :3, 3])
+    return replace(path, points=path.points + offset, poses=poses, twists=twists)
+
+
 def test_a_body_far_from_its_origin_turns_about_its_middle(sphere):
     """From one face of a box to the next, the origin moves along a circle, not the body."""
+    box = trimesh.creation.box((0.05, 0.04, 0.03))
+    scene = sphere.with_(
+        body=Body.from_mesh(box),
+        skin=Skin.cover(Body.from_mesh(box), spacing=12e-3, seed=1),
+        loop=replace(sphere.loop, mode="quasi_static"),
+        exploration=replace(sphere.exploration, pattern="lanes", lane_spacing=8e-3),
+    )
+    path = plan_exploration(scene).path
 
     def duration(offset):
-        box = trimesh.creation.box((0.05, 0.04, 0.03))
-        box.apply_translation([0.0, offset, 0.0])
-        body = Body.from_mesh(box)
-        scene = sphere.with_(
-            body=body,
-            skin=Skin.cover(body, spacing=12e-3, seed=1),
-            loop=replace(sphere.loop, mode="quasi_static"),
-            exploration=replace(sphere.exploration, pattern="lanes", lane_spacing=8e-3),
-        )
-        return simulate(scene, seed=1).time[-1]
+        away = transform(np.eye(3), offset)
+        body, skin = Body.from_mesh(box.copy().apply_transform(away)), scene.skin.moved(away)
+        there = scene.with_(body=body, skin=skin)
+        return simulate(there, seed=1, path=moved_path(path, offset)).time[-1]
 
-    assert duration(2.0) == pytest.approx(duration(0.0), rel=0.1)
+    far, near = duration(np.array([0.0, 2.0, 0.0])), duration(np.zeros(3))
+    assert far == pytest.approx(near, rel=0.1)
