@@ -19,6 +19,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from .departures import FittedReadings
+from .small_effects import SmallEffects
 
 TOGETHER = 0.8
 """Probability, before the readings, that all taxels are read at once. Chosen: in six recordings of
@@ -27,29 +28,32 @@ the world hertz of studies/foreign_worlds.py 1.05 times the error is stated with
 SPREADS = np.geomspace(0.01, 1.0, 12)
 """Standard deviations of the lags that are tried, relative to that of channels whose reading takes
 the whole frame: less displaces no taxel by a thousandth of the contacts' distance."""
-HELD, HELD_LAGS = 0.5, "taxels that may be read one after another, to first order"
-"""Probability of lags from which they are named, and how."""
+HELD_LAGS = "taxels that are read one after another, held to first order"
+NAMED = float(2 * np.log(TOGETHER / (1 - TOGETHER))) ** 0.5
+"""Score from which lags are named: they are then as likely as none."""
 PRIOR = np.array([3.0, 1.0])
 """Mean squares of the common lag and of the other ones, relative to the variance of the lags: those
 of channels that are read evenly from the contact's time on."""
 
 
-def held_lags(fitted: FittedReadings) -> tuple[Array, float]:
-    """What lags add to the tangential covariances (n, 2, 2), m^2, and their probability."""
+def held_lags(fitted: FittedReadings) -> SmallEffects:
+    """What lags add to the tangential covariances; the taxels stay."""
     data, n = fitted.data, len(fitted.points)
-    step = np.linalg.norm(np.diff(data.points, axis=0), axis=1)
-    unit = float(np.median(step)) / 12**0.5 if len(step) else 0.0
+    unit = float(np.median(np.linalg.norm(np.diff(data.points, axis=0), axis=1))) / 12**0.5
+    if not unit > 0:
+        return SmallEffects.none(n)
     late = unit * fitted.moved(data.headway[:, :, None])
-    trials = [(np.log(TOGETHER), np.zeros(n)), *_of_a_scan(fitted, late)]
+    trials = list(_of_a_scan(fitted, late))
     if fitted.system is None:  # else errors of the contacts pass for lags of single taxels
         trials += _of_their_own(fitted, late)
-    log_weight, square = (np.array(part) for part in zip(*trials, strict=True))
-    log_weight[1:] += np.log((1 - TOGETHER) / (len(trials) - 1))
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
+    gain, square = (np.array(part) for part in zip(*trials, strict=True))
+    largest = max(float(gain.max()), 0.0)
+    weight = (1 - TOGETHER) / len(trials) * np.exp(gain - largest)
+    total = float(weight.sum()) + TOGETHER * np.exp(-largest)
     moved = fitted.displaced(late, alone=True)[:, :, 0]
     along = moved[:, :, None] * moved[:, None]
-    return (weight @ square)[:, None, None] * along, 1 - float(weight[0])
+    score = (2 * max(largest + float(np.log(weight.sum() / (1 - TOGETHER))), 0.0)) ** 0.5
+    return SmallEffects(score, np.zeros((n, 2)), (weight / total @ square)[:, None, None] * along)
 
 
 def _of_a_scan(fitted: FittedReadings, late: Array) -> Iterator[tuple[float, Array]]:
