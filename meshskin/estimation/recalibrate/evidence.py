@@ -19,6 +19,7 @@ Sources: Gruenwald, de Heide, Koolen, "Safe Testing", J. R. Stat. Soc. B 86 (202
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -156,9 +157,9 @@ def _trial(touches: Touches, unit: int, state: Hypothesis, errors: Errors, limit
     known, threshold = touches.known, touches.threshold
     (block,) = touches.blocks(unit, [state], errors)
     as_expected = np.where(block.read, block.mean, np.nan)
-    null = block.log_likelihood(errors, threshold)
     usual = replace(block, level=as_expected).log_likelihood(errors, threshold)
     null_blocks, log_null = [block], np.zeros(1)
+    null = touches.straight(unit, state, errors).log_likelihood(errors, threshold)
     if usual - null >= MISFIT * limit and len(state.points) == 1:
         parts, log_null = dispersed(state, touches.data.body)
         null_blocks = touches.blocks(unit, parts, errors)
@@ -191,12 +192,23 @@ def _log_chance(
     mean = np.stack([b.mean for b in blocks])
     c = np.stack([b.covariance(errors) for b in blocks])
     weights = tried.log_null, tried.log_prior
-    return log_chance(mean, c, *weights, evidence, errors, touches.threshold)
+    first, rows = blocks[0], touches.known.units[unit]
+
+    def null(level: Array) -> float:
+        """As `_trial` has it."""
+        levels = np.full((len(touches.level), len(rows)), np.nan)
+        levels[first.contact, first.taxel] = level
+        block = touches.straight(unit, first.hypothesis, errors, levels)
+        return block.log_likelihood(errors, touches.threshold)
+
+    return log_chance(
+        mean, c, *weights, evidence, errors, touches.threshold, null if len(rows) > 1 else None
+    )
 
 
 def log_chance(
     mean: Array, c: Array, log_null: Array, log_prior: Array, evidence: float, errors: Errors,
-    threshold: float,
+    threshold: float, null: Callable[[Array], float] | None = None,
 ) -> float:  # fmt: skip
     """ln of the probability of an ln evidence of `evidence` or more, if there is no change.
 
@@ -204,7 +216,7 @@ def log_chance(
     the p components without a change first, and with h changes; log_null (p,): ln of the weights of
     the components; log_prior (h,): ln of the prior probabilities of the changes, whose sum may be
     less than one: changes that are left out have Markov's bound. threshold: readings below it are
-    silent.
+    silent. null: ln likelihood of readings (q,) if there is no change, in place of the components'.
     """
     rng, weight, first = np.random.default_rng(0), np.exp(log_prior), len(log_null)
     total = float(weight.sum())
@@ -214,8 +226,8 @@ def log_chance(
         level = rng.multivariate_normal(mean[first + change], c[first + change], method="cholesky")
         level = np.where(level > threshold, level, np.nan)
         likelihood = log_likelihoods(level, mean, c, errors, threshold)
-        null = logsumexp(likelihood[:first] + log_null)
-        drawn = float(logsumexp(likelihood[first:] + log_prior) - null)
+        without = null(level) if null else logsumexp(likelihood[:first] + log_null)
+        drawn = float(logsumexp(likelihood[first:] + log_prior) - without)
         found[k] = np.exp(evidence - drawn) if drawn >= evidence else 0.0
     share = total * float(found.mean()) + max(1 - total, 0.0)
     return float(np.log(share)) - evidence if share > 0 else -np.inf
