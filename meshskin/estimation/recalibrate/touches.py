@@ -229,7 +229,7 @@ class Touches:
         over all that the map leaves open: `bend` is then that of what they leave open. level: as
         in `blocks`."""
         (block,) = self.blocks(unit, [state], errors, level=level)
-        for _ in range(STEPS):
+        for _ in range(STEPS if block.read.any() else 0):
             shift, covariance = block.displacements(errors)
             there = replace(state, points=state.points + shift, covariance=covariance)
             (block,) = self.blocks(unit, [there], errors, level=level)
