@@ -132,6 +132,8 @@ class _Trial:
 
     null: float
     """ln likelihood of the state."""
+    alike: float
+    """The same, linearized as the alternatives are: what is excluded is compared with this."""
     block: Block
     """The readings under it."""
     null_blocks: list[Block]
@@ -159,12 +161,15 @@ def _trial(touches: Touches, unit: int, state: Hypothesis, errors: Errors, limit
     as_expected = np.where(block.read, block.mean, np.nan)
     usual = replace(block, level=as_expected).log_likelihood(errors, threshold)
     null_blocks, log_null = [block], np.zeros(1)
-    null = touches.straight(unit, state, errors).log_likelihood(errors, threshold)
-    if usual - null >= MISFIT * limit and len(state.points) == 1:
+    null = alike = block.log_likelihood(errors, threshold)
+    single = len(state.points) == 1
+    if not single:  # too many places for components of all of them
+        null = touches.straight(unit, state, errors).log_likelihood(errors, threshold)
+    if usual - null >= MISFIT * limit and single:
         parts, log_null = dispersed(state, touches.data.body)
         null_blocks = touches.blocks(unit, parts, errors)
         each = [b.log_likelihood(errors, threshold) for b in null_blocks]
-        null = float(logsumexp(log_null + each))
+        null = alike = float(logsumexp(log_null + each))
     steps = discrete(touches, unit, state)
     if usual - null >= MISFIT * limit:
         if state.state == CONFIRMED:
@@ -175,7 +180,7 @@ def _trial(touches: Touches, unit: int, state: Hypothesis, errors: Errors, limit
     expected = np.zeros(len(state.points))
     np.maximum.at(expected, block.taxel, block.mean)
     prior = log_prior(steps, len(known.units), expected, known.slots is None)
-    return _Trial(null, block, null_blocks, log_null, blocks, ratio, prior)
+    return _Trial(null, alike, block, null_blocks, log_null, blocks, ratio, prior)
 
 
 def _log_chance(
@@ -250,7 +255,7 @@ def _changed(change: Change, k: int) -> Hypothesis:
 def _excluded(tried: _Trial, threshold: float, k: int) -> tuple[np.ndarray, np.ndarray, bool]:
     """Which of the k taxels (k,) were touched, which of these (k,) are not dead, and whether all
     turns, exchanges and the death of the unit are excluded."""
-    block, out = tried.block, tried.ratio < -MIN_ODDS
+    block, out = tried.block, tried.ratio + tried.null - tried.alike < -MIN_ODDS
     touched = np.zeros(k, dtype=bool)
     answers = block.mean > max(ANSWERED * threshold, LEAST_READING)
     touched[block.taxel[answers | block.read]] = True
