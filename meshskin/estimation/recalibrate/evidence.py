@@ -3,7 +3,10 @@
 The evidence is the mean of the likelihood ratio over the hypotheses, weighted by their prior
 probabilities. If the unit did not change, its expected value is one, whatever the hypotheses and
 the number of readings, and so it exceeds u / alpha with a probability of at most alpha / u
-(Markov's inequality): over u units, false alarms have a probability of at most alpha.
+(Markov's inequality): over u units, false alarms have a probability of at most alpha. This needs
+the likelihood of an unchanged unit as it is, over all places that the map allows: that of a module
+is linearized where the readings place its taxels (Laplace's method), that of a single taxel is a
+mixture. A coarser likelihood of a change costs power only.
 
 Where the evidence is nearly that large, its probability if the unit did not change is drawn. The
 evidence E is the ratio of the density Q of the readings under the changes, weighted by their prior
@@ -197,13 +200,13 @@ def _log_chance(
     mean = np.stack([b.mean for b in blocks])
     c = np.stack([b.covariance(errors) for b in blocks])
     weights = tried.log_null, tried.log_prior
-    first, rows = blocks[0], touches.known.units[unit]
+    same, rows = blocks[0], touches.known.units[unit]
 
     def null(level: Array) -> float:
         """As `_trial` has it."""
         levels = np.full((len(touches.level), len(rows)), np.nan)
-        levels[first.contact, first.taxel] = level
-        block = touches.straight(unit, first.hypothesis, errors, levels)
+        levels[same.contact, same.taxel] = level
+        block = touches.straight(unit, same.hypothesis, errors, levels)
         return block.log_likelihood(errors, touches.threshold)
 
     return log_chance(
