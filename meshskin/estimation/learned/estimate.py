@@ -49,7 +49,7 @@ from ..trilateration import coactivation, trilaterate
 from .contact_kinds import contact_kinds
 from .departure_search import first_estimate, plausible, with_departures
 from .deviations import UNMEASURED_FORCE, Deviations
-from .modules import moved_to_modules
+from .modules import heights_of_taxels, moved_to_modules
 from .random_effects import MAX_DECREASE, MAX_ITERATIONS, RandomEffects
 from .response_groups import response_groups
 from .result import learned_result
@@ -152,6 +152,8 @@ def _attempt(
     found = learned_result(effects, estimator, rivals, reasons, clock)
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)
+        if data.heights is None and (heights := heights_of_taxels(data, found)) is not None:
+            return replace(recorded, heights=heights), excluded
     fitted = effects.fitted()
     jump, kinds = largest_jump(fitted), contact_kinds(effects)
     departures = {**response_groups(fitted).departure, **departures, **found.departures}
@@ -237,7 +239,8 @@ def _begin(
     data: Measurements, live: np.ndarray, start: EstimatorResult, stage: Stage
 ) -> RandomEffects:
     """The estimate at its start."""
-    charts = chart.charts_at(data.body, start.points[live], start.rotations[live])
+    height = 0.0 if data.heights is None else data.heights[live]
+    charts = chart.charts_at(data.body, start.points[live], start.rotations[live], height)
     s, nuisance = data.parameters.start(), np.zeros((len(live), 2))
     if start.modulus is not None and data.unit == 1.0:
         s[data.parameters.columns["modulus"]] = np.log(start.modulus / data.modulus)
@@ -248,7 +251,9 @@ def _begin(
     unknowns = Unknowns(places, nuisance, np.zeros((len(data.points), 3)), s)
     weight = np.ones(len(data.pressure))
     readings = select(data, live, charts.points, charts.normals, 0.0, weight, np.ones(len(live)))
-    noise = 1.0 if data.belief.noise_sigma is not None else _first_noise(start, data)
+    noise, fit = 1.0, start.fit
+    if data.belief.noise_sigma is None and fit is not None and np.isfinite(fit.noise):
+        noise = max(fit.noise / data.sigma, fault_detection.MIN_SCALE)
     data = replace(data, response_levels=_response_levels(data, readings, unknowns))
     deviations = Deviations(noise=noise)
     if not data.force_measured:
@@ -277,12 +282,6 @@ def _response_levels(data: Measurements, readings: Readings, u: Unknowns) -> tup
         mean = np.bincount(owner[few], weight * level) / np.maximum(total, 1e-300)
         found.append(float(np.mean(mean[total > 0])))
     return found[0], found[1]
-
-
-def _first_noise(start: EstimatorResult, data: Measurements) -> float:
-    if start.fit is None or not np.isfinite(start.fit.noise):
-        return 1.0
-    return max(start.fit.noise / data.sigma, fault_detection.MIN_SCALE)
 
 
 def _frozen(effects: RandomEffects, live: np.ndarray, weight: Array) -> JointEstimator:
