@@ -12,7 +12,7 @@ from ..uncertainty.goodness_of_fit import GoodnessOfFit
 from . import fault_detection, rejected_readings
 from .contact_fields import ContactFields, contact_fields
 from .departures import FittedReadings, departure_scores, fitted_readings
-from .held_lags import HELD, HELD_LAGS, held_lags
+from .held_lags import HELD_LAGS, NAMED, held_lags
 from .joint_estimator import JointEstimator
 from .jump import Jump, jump_by_outliers, jump_of
 from .leaks import crosstalk_score
@@ -60,9 +60,9 @@ class ModelDepartures:
         by_errors, by_fields = self.errors.covariances(self.fitted), self.fields.covariances
         words = [SHARED_ERRORS.format(self.errors.where)] if by_errors.any() else []
         words += [ALIKE_CONTACTS] if by_fields.any() else []
-        by_lags, probability = held_lags(self.fitted)
-        words += [HELD_LAGS] if probability > HELD else []
-        return larger(by_errors, by_fields) + by_lags, words
+        lags = held_lags(self.fitted)
+        words += [HELD_LAGS] if lags.score > NAMED else []
+        return larger(by_errors, by_fields) + lags.covariances, words
 
     def rejected(self, noise: float) -> Array:
         """What readings that were left out add to the tangential covariances (n, 2, 2), m^2; noise:

@@ -103,4 +103,4 @@ def first_offset(
 
 def _offsets(largest: float) -> Array:
     """Offsets, s, from -largest to largest that are tried."""
-    return STEP * np.arange(-round(largest / STEP), round(largest / STEP) + 1)
+    return np.asarray(STEP * np.arange(-round(largest / STEP), round(largest / STEP) + 1))

@@ -167,9 +167,8 @@ class Heights:
             pulls[self.model.columns["clock_offset"]] = 0.0  # heights leave the clock as it is
         (r, jacobian, points), damping = self.residuals(x), 1e-3
         for _ in range(MAX_ITERATIONS):
-            rest = self._unexplained(r, jacobian)
-            scatter = _scatter(rest)
-            weight, alike = self._weights(rest, jacobian, points)
+            scatter = _scatter(r)
+            weight, alike = self._weights(r, jacobian, points)
             hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
             gradient = jacobian.T @ (weight * r) + pulls * x
             if gradient @ np.linalg.solve(hessian, gradient) < CONVERGED**2:
@@ -185,13 +184,6 @@ class Heights:
             else:
                 break  # no step decreases the cost
         return x
-
-    def _unexplained(self, r: Array, jacobian: Array) -> Array:
-        """What the unknowns leave of residuals r (m,), m, of derivatives `jacobian` (m, K + 1). A
-        scatter of all of them, before the fit, would weigh the heights less than what was believed,
-        and the fit would stay there."""
-        normal = jacobian.T @ jacobian + MIN_SCATTER**2 * np.diag(self.precision)
-        return np.asarray(r - jacobian @ np.linalg.solve(normal, jacobian.T @ r))
 
     def _corrected(
         self, x: Array, expected: Array, weight: Array

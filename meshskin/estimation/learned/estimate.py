@@ -35,13 +35,11 @@ from ..data.global_parameters import (
 from ..data.measurements import Measurements
 from ..data.patch_shape import over_edges
 from ..joint import fault_detection, outlier_rejection
-from ..joint.contacts import LinearizedContacts
 from ..joint.joint_estimator import JointEstimator
-from ..joint.jump import largest_jump
-from ..joint.likelihood import Likelihood
+from ..joint.jump import Jump, jump_by_outliers, largest_jump
 from ..joint.parametrization import SurfaceParametrization, Unknowns
 from ..joint.pressure import CENSORED, OBSERVED
-from ..joint.readings import Readings, select
+from ..joint.readings import select
 from ..joint.rival_optima import RivalOptima, resolve_rivals
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import EstimatorResult, LearnedResponse
@@ -49,6 +47,7 @@ from ..trilateration import coactivation, trilaterate
 from .contact_kinds import contact_kinds
 from .departure_search import first_estimate, plausible, with_departures
 from .deviations import UNMEASURED_FORCE, Deviations
+from .estimated_response import response_levels
 from .modules import heights_of_taxels, moved_to_modules
 from .random_effects import MAX_DECREASE, MAX_ITERATIONS, RandomEffects
 from .response_groups import response_groups
@@ -71,8 +70,6 @@ MAX_ROUNDS = 3
 """Largest number of times that outlying readings are left out and the rest is estimated again."""
 USUAL_STEPS = 30
 """Usual steps of Gauss and Newton, of variances, and of searches for second optima."""
-LEVEL_SAMPLE = 1000
-"""Taxels and contacts whose mean level the compression refers to: more change it by below 1 %."""
 MAX_LACKING = 0.02
 """Fraction of readings beyond the believed reach from which they are selected anew: a Hertz world
 has less, a cover with readings to the power 0.6 a fourth."""
@@ -156,6 +153,7 @@ def _attempt(
             return replace(recorded, heights=heights), excluded
     fitted = effects.fitted()
     jump, kinds = largest_jump(fitted), contact_kinds(effects)
+    jump = max(jump, _jump_without_errors(effects, live), key=lambda jump: jump.score)
     departures = {**response_groups(fitted).departure, **departures, **found.departures}
     departures |= jump.departure | kinds.departure
     displaced = max(jump.shown, kinds.shown, key=np.linalg.norm)
@@ -251,41 +249,35 @@ def _begin(
     unknowns = Unknowns(places, nuisance, np.zeros((len(data.points), 3)), s)
     weight = np.ones(len(data.pressure))
     readings = select(data, live, charts.points, charts.normals, 0.0, weight, np.ones(len(live)))
-    noise, fit = 1.0, start.fit
-    if data.belief.noise_sigma is None and fit is not None and np.isfinite(fit.noise):
-        noise = max(fit.noise / data.sigma, fault_detection.MIN_SCALE)
-    data = replace(data, response_levels=_response_levels(data, readings, unknowns))
+    noise = 1.0 if data.belief.noise_sigma is not None else _first_noise(start, data)
+    data = replace(data, response_levels=response_levels(data, readings, unknowns))
     deviations = Deviations(noise=noise)
     if not data.force_measured:
         deviations = replace(deviations, least_force=UNMEASURED_FORCE)
     return RandomEffects(data, readings, unknowns, deviations, stage=stage)
 
 
-def _response_levels(data: Measurements, readings: Readings, u: Unknowns) -> tuple[float, float]:
-    """Levels of the readings, relative to the nominal peak, that determine gains and errors of
-    ln F: means over taxels and contacts, LEVEL_SAMPLE of each if there are more, weighted by the
-    information of each reading.
-
-    A compression that made gains smaller at the same readings would be preferred for that alone:
-    the estimate is the mode, in which a change of scale of its effects counts.
-    """
-    contacts = LinearizedContacts(data, u.s).with_errors(u.s, u.errors)
-    points, found = u.parametrization.points(), []
-    for row, owner in ((3, readings.taxel), (-1, readings.contact)):
-        few = np.flatnonzero(owner % max(owner.max(initial=0) // LEVEL_SAMPLE, 1) == 0)
-        contact, taxel = readings.contact[few], readings.taxel[few]
-        mu, jacobian = Likelihood(data, readings).predict(
-            contact, points[taxel], u.nuisance[taxel], contacts, data.groups[readings.live[taxel]]
-        )
-        weight, level = jacobian[row] ** 2, mu * data.sigma / data.nominal_peak
-        total = np.bincount(owner[few], weight)
-        mean = np.bincount(owner[few], weight * level) / np.maximum(total, 1e-300)
-        found.append(float(np.mean(mean[total > 0])))
-    return found[0], found[1]
+def _first_noise(start: EstimatorResult, data: Measurements) -> float:
+    if start.fit is None or not np.isfinite(start.fit.noise):
+        return 1.0
+    return max(start.fit.noise / data.sigma, fault_detection.MIN_SCALE)
 
 
-def _frozen(effects: RandomEffects, live: np.ndarray, weight: Array) -> JointEstimator:
-    """The taxels under the response and the contacts as estimated, which stay."""
+def _jump_without_errors(effects: RandomEffects, live: np.ndarray) -> Jump:
+    """The jump that readings show which are outlying where contacts have no errors of their own:
+    these stand in for it."""
+    try:
+        still = _frozen(effects, live, np.ones(len(effects.data.pressure)), errors=0.0)
+        return jump_by_outliers(outlier_rejection.reject_outliers(still))
+    except CalibrationError:
+        return Jump()
+
+
+def _frozen(
+    effects: RandomEffects, live: np.ndarray, weight: Array, errors: float = 1.0
+) -> JointEstimator:
+    """The taxels under the response and the contacts as estimated, which stay, with `errors` times
+    their errors."""
     data, u, d = effects.data, effects.unknowns, effects.deviations
     observed = effects.readings.kind == OBSERVED
     noise = float(np.sqrt(np.mean(effects.spread[observed] ** 2))) * data.sigma
@@ -295,7 +287,7 @@ def _frozen(effects: RandomEffects, live: np.ndarray, weight: Array) -> JointEst
         data,
         noise=noise,
         **_without_electronics(effects),
-        contact_errors=u.errors,
+        contact_errors=errors * u.errors,
         parameters=replace(data.parameters, nuisance_sigma=sigma),
     )
     nuisance = u.nuisance * [nuisance_unit(name, data.sigma / noise) for name in names]

@@ -9,9 +9,14 @@ import numpy as np
 
 from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
+from ..data.measurements import Measurements
+from ..joint.contacts import LinearizedContacts
 from ..joint.creep import TIME
 from ..joint.electronics import WIDTH
+from ..joint.likelihood import Likelihood
+from ..joint.parametrization import Unknowns
 from ..joint.pressure import disc_means
+from ..joint.readings import Readings
 from ..result import LearnedResponse
 from .contact_correlations import AlikeErrors, force_scatter, neighbour_correlation
 from .random_effects import RandomEffects
@@ -20,6 +25,8 @@ END = 0.02
 """Part of the recording, at both ends, whose drifts are not stated."""
 SAMPLES = 60
 """Distances at which the profile is stated, and levels of the response."""
+LEVEL_SAMPLE = 1000
+"""Taxels and contacts whose mean level the compression refers to: more change it by below 1 %."""
 
 
 def learned_response(
@@ -127,3 +134,26 @@ def _own(effects: RandomEffects, name: str) -> float:
     """Deviation of a parameter that each taxel has, where it is estimated; else 0."""
     estimated = name in effects.data.parameters.nuisance_names
     return float(getattr(effects.deviations, name)) if estimated else 0.0
+
+
+def response_levels(data: Measurements, readings: Readings, u: Unknowns) -> tuple[float, float]:
+    """Levels of the readings, relative to the nominal peak, that determine gains and errors of
+    ln F: means over taxels and contacts, LEVEL_SAMPLE of each if there are more, weighted by the
+    information of each reading.
+
+    A compression that made gains smaller at the same readings would be preferred for that alone:
+    the estimate is the mode, in which a change of scale of its effects counts.
+    """
+    contacts = LinearizedContacts(data, u.s).with_errors(u.s, u.errors)
+    points, found = u.parametrization.points(), []
+    for row, owner in ((3, readings.taxel), (-1, readings.contact)):
+        few = np.flatnonzero(owner % max(owner.max(initial=0) // LEVEL_SAMPLE, 1) == 0)
+        contact, taxel = readings.contact[few], readings.taxel[few]
+        mu, jacobian = Likelihood(data, readings).predict(
+            contact, points[taxel], u.nuisance[taxel], contacts, data.groups[readings.live[taxel]]
+        )
+        weight, level = jacobian[row] ** 2, mu * data.sigma / data.nominal_peak
+        total = np.bincount(owner[few], weight)
+        mean = np.bincount(owner[few], weight * level) / np.maximum(total, 1e-300)
+        found.append(float(np.mean(mean[total > 0])))
+    return found[0], found[1]

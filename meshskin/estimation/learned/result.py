@@ -15,7 +15,7 @@ from ..chart import tangential_square
 from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION
 from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
-from ..joint.held_lags import HELD, HELD_LAGS, held_lags
+from ..joint.held_lags import HELD_LAGS, NAMED, held_lags
 from ..joint.joint_estimator import MAX_CHI2, JointEstimator
 from ..joint.leaks import further_shares, leak_covariances
 from ..joint.noise import Noise, neighbour_scatter
@@ -166,14 +166,16 @@ def _tangential(
     if fit.good is not False and fields.covariances.any():
         tangential = larger(tangential, own + fields.covariances)
         factors.append(ALIKE_CONTACTS)
+    departures = {**errors.beyond(added, own), **fields.departure}
     if fit.good is not False:
-        by_lags, probability = held_lags(fitted)
-        tangential = tangential + by_lags
-        factors += [HELD_LAGS] if probability > HELD else []
+        late = held_lags(fitted)
+        tangential = tangential + late.covariances
+        factors += [HELD_LAGS] if late.score > NAMED else []
+        departures[HELD_LAGS] = late.score
     tangential *= _few_readings(effects)[:, None, None]
     rejected = rejected_readings.displacements(fitted, effects.spread**-2.0, effects.spread)
     tangential += _leaks(effects) + rejected[:, :, None] * rejected[:, None]
-    return tangential, factors, {**errors.beyond(added, own), **fields.departure}
+    return tangential, factors, departures
 
 
 def _small_effects(effects: RandomEffects, fit: GoodnessOfFit) -> dict[str, SmallEffects]:

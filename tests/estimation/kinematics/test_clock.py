@@ -8,6 +8,8 @@ import pytest
 
 import meshskin as ms
 from meshskin.estimation.kinematics import calibrate_log
+from meshskin.estimation.kinematics.clock import first_offset
+from meshskin.robot.contact_kinematics import JointPath
 from meshskin.scene.contact_motion import ContactMotion
 
 
@@ -40,3 +42,30 @@ def test_the_contacts_of_a_calibration_stay_where_its_own_unknowns_put_them():
 
     np.testing.assert_allclose(within_the_table(moved), within_the_table(found), atol=1e-12)
     assert calibrate_log._with_clock(found, 0.0) is found
+
+
+class Sliding:
+    """An indenter whose centre is given over time, on a clock that is not known."""
+
+    def __init__(self):
+        self.columns = {"clock_offset": slice(0, 1)}
+
+    def centres(self, path, time, s):
+        return path.at(time)[0], None
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_few_touches_do_not_move_the_clock_by_seconds(seed):
+    """Beside the touches the robot stands still, so that the contacts would spread least there."""
+    rng, step = np.random.default_rng(seed), 0.02
+    ways = [np.linspace(*rng.uniform(-0.02, 0.02, (2, 3)), 40) for _ in range(3)]
+    still = [np.repeat(way[-1:], 60, axis=0) for way in ways]
+    centres = np.concatenate([part for pair in zip(ways, still, strict=True) for part in pair])
+    time, pressed = step * np.arange(len(centres)), np.tile(np.arange(100) < 40, 3)
+    taxels = rng.uniform(-0.02, 0.02, (30, 3))
+    far = np.linalg.norm(centres[pressed, None] - taxels, axis=2)
+    readings = np.exp(-((far / 5e-3) ** 2))
+    found = first_offset(
+        Sliding(), JointPath(time, centres), time[pressed] + 0.03, readings, np.zeros(1)
+    )
+    assert abs(found) < 0.1

@@ -66,3 +66,20 @@ def test_scatter_is_of_one_kind(kind):
     found = ms.calibrate(wrong, scene.belief(contact="auto", noise_sigma=None))
     assert found.verdict is not None
     assert not any("displaced against" in words for words in found.verdict.reasons)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_jump_that_errors_of_contacts_stand_in_for(seed):
+    """Pressed in lanes, most taxels are touched on one side of it only."""
+    scene, log = scattered(seed)
+    lane = np.floor(log.points[:, 1] / 2e-3)
+    order = np.lexsort((log.points[:, 2] * np.where(lane % 2, 1, -1), lane))
+    log = ms.press(scene, log.points[order], force=log.force[order], seed=seed)
+    late = np.arange(len(log.points)) >= len(log.points) // 2
+    wrong = displaced(log, np.outer(late, [0.0, 0.0, 2e-3]))
+    found = ms.calibrate(wrong, scene.belief(contact="learned", noise_sigma=None))
+    assert found.verdict is not None
+    assert any("a jump of the contacts at" in words for words in found.verdict.reasons)
+    error = np.linalg.norm(found.positions - scene.skin.positions, axis=1)
+    ratio = np.nanmean(found.position_sigma[np.isfinite(error)] ** 2) / np.nanmean(error**2)
+    assert 1.0 < np.sqrt(ratio) < 2.0
