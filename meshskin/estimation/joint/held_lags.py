@@ -42,7 +42,8 @@ of channels that are read evenly from the contact's time on."""
 def held_lags(fitted: FittedReadings) -> SmallEffects:
     """What lags add to the tangential covariances; the taxels stay."""
     data, n = fitted.data, len(fitted.points)
-    unit = float(np.median(np.linalg.norm(np.diff(data.points, axis=0), axis=1))) / 12**0.5
+    steps = np.linalg.norm(np.diff(data.points, axis=0), axis=1)
+    unit = float(np.median(steps)) / 12**0.5 if len(steps) else 0.0
     if not unit > 0:
         return SmallEffects.none(n)
     late = unit * fitted.moved(data.headway[:, :, None])
