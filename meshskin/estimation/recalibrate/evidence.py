@@ -3,7 +3,10 @@
 The evidence is the mean of the likelihood ratio over the hypotheses, weighted by their prior
 probabilities. If the unit did not change, its expected value is one, whatever the hypotheses and
 the number of readings, and so it exceeds u / alpha with a probability of at most alpha / u
-(Markov's inequality): over u units, false alarms have a probability of at most alpha.
+(Markov's inequality): over u units, false alarms have a probability of at most alpha. This needs
+the likelihood of an unchanged unit as it is, over all places that the map allows: that of a module
+is linearized where the readings place its taxels (Laplace's method), that of a single taxel is a
+mixture. A coarser likelihood of a change costs power only.
 
 Where the evidence is nearly that large, its probability if the unit did not change is drawn. The
 evidence E is the ratio of the density Q of the readings under the changes, weighted by their prior
@@ -19,6 +22,7 @@ Sources: Gruenwald, de Heide, Koolen, "Safe Testing", J. R. Stat. Soc. B 86 (202
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -131,6 +135,8 @@ class _Trial:
 
     null: float
     """ln likelihood of the state."""
+    alike: float
+    """The same, linearized as the alternatives are: what is excluded is compared with this."""
     block: Block
     """The readings under it."""
     null_blocks: list[Block]
@@ -156,14 +162,17 @@ def _trial(touches: Touches, unit: int, state: Hypothesis, errors: Errors, limit
     known, threshold = touches.known, touches.threshold
     (block,) = touches.blocks(unit, [state], errors)
     as_expected = np.where(block.read, block.mean, np.nan)
-    null = block.log_likelihood(errors, threshold)
     usual = replace(block, level=as_expected).log_likelihood(errors, threshold)
     null_blocks, log_null = [block], np.zeros(1)
-    if usual - null >= MISFIT * limit and len(state.points) == 1:
+    null = alike = block.log_likelihood(errors, threshold)
+    single = len(state.points) == 1
+    if not single:  # too many places for components of all of them
+        null = touches.straight(unit, state, errors).log_likelihood(errors, threshold)
+    if usual - null >= MISFIT * limit and single:
         parts, log_null = dispersed(state, touches.data.body)
         null_blocks = touches.blocks(unit, parts, errors)
         each = [b.log_likelihood(errors, threshold) for b in null_blocks]
-        null = float(logsumexp(log_null + each))
+        null = alike = float(logsumexp(log_null + each))
     steps = discrete(touches, unit, state)
     if usual - null >= MISFIT * limit:
         if state.state == CONFIRMED:
@@ -174,7 +183,7 @@ def _trial(touches: Touches, unit: int, state: Hypothesis, errors: Errors, limit
     expected = np.zeros(len(state.points))
     np.maximum.at(expected, block.taxel, block.mean)
     prior = log_prior(steps, len(known.units), expected, known.slots is None)
-    return _Trial(null, block, null_blocks, log_null, blocks, ratio, prior)
+    return _Trial(null, alike, block, null_blocks, log_null, blocks, ratio, prior)
 
 
 def _log_chance(
@@ -191,12 +200,23 @@ def _log_chance(
     mean = np.stack([b.mean for b in blocks])
     c = np.stack([b.covariance(errors) for b in blocks])
     weights = tried.log_null, tried.log_prior
-    return log_chance(mean, c, *weights, evidence, errors, touches.threshold)
+    same, rows = blocks[0], touches.known.units[unit]
+
+    def null(level: Array) -> float:
+        """As `_trial` has it."""
+        levels = np.full((len(touches.level), len(rows)), np.nan)
+        levels[same.contact, same.taxel] = level
+        block = touches.straight(unit, same.hypothesis, errors, levels)
+        return block.log_likelihood(errors, touches.threshold)
+
+    return log_chance(
+        mean, c, *weights, evidence, errors, touches.threshold, null if len(rows) > 1 else None
+    )
 
 
 def log_chance(
     mean: Array, c: Array, log_null: Array, log_prior: Array, evidence: float, errors: Errors,
-    threshold: float,
+    threshold: float, null: Callable[[Array], float] | None = None,
 ) -> float:  # fmt: skip
     """ln of the probability of an ln evidence of `evidence` or more, if there is no change.
 
@@ -204,7 +224,7 @@ def log_chance(
     the p components without a change first, and with h changes; log_null (p,): ln of the weights of
     the components; log_prior (h,): ln of the prior probabilities of the changes, whose sum may be
     less than one: changes that are left out have Markov's bound. threshold: readings below it are
-    silent.
+    silent. null: ln likelihood of readings (q,) if there is no change, in place of the components'.
     """
     rng, weight, first = np.random.default_rng(0), np.exp(log_prior), len(log_null)
     total = float(weight.sum())
@@ -214,8 +234,8 @@ def log_chance(
         level = rng.multivariate_normal(mean[first + change], c[first + change], method="cholesky")
         level = np.where(level > threshold, level, np.nan)
         likelihood = log_likelihoods(level, mean, c, errors, threshold)
-        null = logsumexp(likelihood[:first] + log_null)
-        drawn = float(logsumexp(likelihood[first:] + log_prior) - null)
+        without = null(level) if null else logsumexp(likelihood[:first] + log_null)
+        drawn = float(logsumexp(likelihood[first:] + log_prior) - without)
         found[k] = np.exp(evidence - drawn) if drawn >= evidence else 0.0
     share = total * float(found.mean()) + max(1 - total, 0.0)
     return float(np.log(share)) - evidence if share > 0 else -np.inf
@@ -238,7 +258,7 @@ def _changed(change: Change, k: int) -> Hypothesis:
 def _excluded(tried: _Trial, threshold: float, k: int) -> tuple[np.ndarray, np.ndarray, bool]:
     """Which of the k taxels (k,) were touched, which of these (k,) are not dead, and whether all
     turns, exchanges and the death of the unit are excluded."""
-    block, out = tried.block, tried.ratio < -MIN_ODDS
+    block, out = tried.block, tried.ratio + tried.null - tried.alike < -MIN_ODDS
     touched = np.zeros(k, dtype=bool)
     answers = block.mean > max(ANSWERED * threshold, LEAST_READING)
     touched[block.taxel[answers | block.read]] = True

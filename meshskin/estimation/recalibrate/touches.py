@@ -178,11 +178,13 @@ class Touches:
         self._patches: dict[float, Patches] = {}
 
     def blocks(
-        self, unit: int, hypotheses: list[Hypothesis], errors: Errors, same_pairs: bool = False
-    ) -> list[Block]:
-        """The block of each hypothesis about a unit. same_pairs: whether all have the pairs of all
-        of them."""
+        self, unit: int, hypotheses: list[Hypothesis], errors: Errors, same_pairs: bool = False,
+        level: Array | None = None,
+    ) -> list[Block]:  # fmt: skip
+        """The block of each hypothesis about a unit of k taxels. same_pairs: whether all have the
+        pairs of all of them. level: readings (m, k), NaN where silent, in place of its own."""
         rows = self.known.units[unit]
+        level = self.level[:, rows] if level is None else level
         points = np.stack([h.points for h in hypotheses])
         normals = np.stack([h.normals for h in hypotheses])
         reach = self.reach(errors.log_modulus) + MARGIN
@@ -192,7 +194,7 @@ class Touches:
         near[which, taxel, contact] = same_sheet(
             offset[which, taxel, contact], self.data.normals[contact], normals[which, taxel]
         )
-        read = np.isfinite(self.level[:, rows]).T
+        read = np.isfinite(level).T
         own = (near | read) & ~self.void[:, rows].T
         pairs = np.broadcast_to(own.any(axis=0), own.shape) if same_pairs else own
         which, taxel, contact = np.nonzero(pairs)
@@ -213,21 +215,24 @@ class Touches:
             known.offset[rows, 1][taxel] / scale,
         )
         columns[0][:] += known.offset[rows, 0][taxel] / scale
-        level = self.level[contact, rows[taxel]]
+        level = level[contact, taxel]
         ends = np.searchsorted(which, np.arange(len(hypotheses) + 1))
         return [
             Block(h, contact[a:b], taxel[a:b], level[a:b], *(x[a:b] for x in columns))
             for h, (a, b) in zip(hypotheses, pairwise(ends), strict=True)
         ]
 
-    def straight(self, unit: int, state: Hypothesis, errors: Errors) -> Block:
+    def straight(
+        self, unit: int, state: Hypothesis, errors: Errors, level: Array | None = None
+    ) -> Block:
         """The block of a state of a unit, linearized where its readings place the taxels, and not
-        over all that the map leaves open: `bend` is then that of what they leave open."""
-        (block,) = self.blocks(unit, [state], errors)
-        for _ in range(STEPS):
+        over all that the map leaves open: `bend` is then that of what they leave open. level: as
+        in `blocks`."""
+        (block,) = self.blocks(unit, [state], errors, level=level)
+        for _ in range(STEPS if block.read.any() else 0):
             shift, covariance = block.displacements(errors)
             there = replace(state, points=state.points + shift, covariance=covariance)
-            (block,) = self.blocks(unit, [there], errors)
+            (block,) = self.blocks(unit, [there], errors, level=level)
             back = np.einsum("qi,qi->q", block.slope, shift[block.taxel])
             block = replace(block, hypothesis=state, mean=block.mean - back)
         return block

@@ -386,6 +386,58 @@ def test_the_likelihood_of_a_taxel_is_that_over_all_places_that_the_map_allows(s
     assert abs(likelihoods([state])[0] - expected) > 1.0  # over all of them at once
 
 
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3))])
+def test_a_module_is_judged_by_all_places_that_the_map_allows(setting, seed):
+    """The readings of taxels at random places of the map's own uncertainty that its straight
+    approximation explains worst: their likelihood is the product of those of the taxels."""
+    scene, points = setting
+    known, errors = skin_map(scene.skin, scene.belief(), 0.3e-3), Errors(0.01, 1e-6, 1e-3)
+    touches, rng = Touches(_data(scene, points), known), np.random.default_rng(seed)
+
+    def likelihoods(unit, hypotheses):
+        blocks = touches.blocks(unit, hypotheses, errors)
+        return np.array([block.log_likelihood(errors, touches.threshold) for block in blocks])
+
+    cases, silent = [], np.full(touches.level.shape, np.nan)
+    for unit, rows in enumerate(known.units):
+        state = unchanged(known, unit)
+        still = replace(state, covariance=0 * state.covariance)
+        shifts = rng.normal(scale=0.3e-3, size=(len(rows), 40, 2))
+        apart = [moved(still, scene.body, flat) for flat in shifts]
+        places = [
+            replace(still, points=np.array([h.points[j] for j, h in enumerate(each)]))
+            for each in zip(*apart, strict=True)
+        ]
+        for block in touches.blocks(unit, places, errors):
+            drawn = block.mean + errors.sigma * rng.normal(size=len(block.mean))
+            touches.level = silent.copy()
+            touches.level[block.contact, rows[block.taxel]] = np.where(
+                drawn > touches.threshold, drawn, np.nan
+            )
+            (whole,) = touches.blocks(unit, [state], errors)
+            as_expected = replace(whole, level=np.where(whole.read, whole.mean, np.nan))
+            over_all_at_once, usual = (
+                b.log_likelihood(errors, touches.threshold) for b in (whole, as_expected)
+            )
+            cases.append((usual - over_all_at_once, over_all_at_once, unit, touches.level))
+    _, over_all_at_once, unit, touches.level = max(cases, key=lambda case: case[0])
+    state = unchanged(known, unit)
+    still = replace(state, covariance=0 * state.covariance)
+    (at_rest,) = likelihoods(unit, [still])
+    wide = rng.normal(scale=0.6e-3, size=(1000, 2))
+    weights = -0.375 * np.sum(np.square(wide), axis=1) / 0.3e-3**2
+    weights -= logsumexp(weights)
+    expected, shifted = at_rest, moved(still, scene.body, wide)
+    for taxel in np.unique(touches.blocks(unit, [state], errors)[0].taxel):
+        own = np.arange(len(state.points))[:, None] == taxel
+        one = [replace(still, points=np.where(own, h.points, still.points)) for h in shifted]
+        expected += logsumexp(weights + likelihoods(unit, one)) - at_rest
+    found = evidence.judge(touches, unit, errors, np.log(len(known.units) / 0.01))
+    assert found.null == pytest.approx(expected, abs=1.0)
+    assert over_all_at_once < expected - 1.0
+    assert found.changes == ()
+
+
 def test_thinned_contacts_keep_all_that_they_have(setting):
     """Fields with a row a contact."""
     scene, points = setting
