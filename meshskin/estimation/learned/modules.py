@@ -117,14 +117,16 @@ def moved_to_modules(
 
 
 def heights_of_taxels(data: Measurements, found: EstimatorResult) -> Array | None:
-    """Heights (n,), m, of the taxels of rigid modules over the surface; None where all are within
-    the tolerance of their placement.
+    """Heights (n,), m, of the taxels of rigid modules over the surface, 0 of those that have no
+    place; None where all are within the tolerance of their placement.
 
     The normal turns along the skin: a taxel at a height h, a from the contact on a surface of
     radius R, seems displaced by h a / R, as by contact points that err.
     """
-    heights = np.nan_to_num(data.body.closest(found.points).distance)
-    return np.asarray(heights) if np.abs(heights).max() > SURFACE_SIGMA else None
+    placed = np.isfinite(found.points).all(axis=1)
+    heights = np.zeros(len(placed))
+    heights[placed] = data.body.closest(found.points[placed]).distance
+    return heights if np.abs(heights).max() > SURFACE_SIGMA else None
 
 
 def _module(

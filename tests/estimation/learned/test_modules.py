@@ -115,6 +115,14 @@ def test_a_dead_taxel_follows_and_exchanged_ones_are_named():
     assert sum("from its place" in fault for fault in found.faults) == 2
 
 
+def test_a_module_without_readings_has_no_place_and_the_others_have():
+    silent = np.arange(len(TAXELS))
+    found, truth, _ = calibrated(dead=silent)
+    assert np.isnan(found.positions[silent]).all()
+    others = np.delete(np.arange(len(truth)), silent)
+    assert np.linalg.norm(along(found, truth)[others], axis=1).max() < 0.1e-3
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scatter", [0.0, 0.3e-3])
 def test_errors_of_modules_agree_with_their_covariances(scatter):
