@@ -124,7 +124,7 @@ def heights_of_taxels(data: Measurements, found: EstimatorResult) -> Array | Non
     radius R, seems displaced by h a / R, as by contact points that err.
     """
     placed = np.isfinite(found.points).all(axis=1)
-    heights = np.zeros(len(placed))
+    heights = np.zeros(len(found.points))
     heights[placed] = data.body.closest(found.points[placed]).distance
     return heights if np.abs(heights).max() > SURFACE_SIGMA else None
 
