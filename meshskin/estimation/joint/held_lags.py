@@ -6,7 +6,8 @@ crossed in several tell how long a scan takes, and the order of the channels whe
 Lags are a common one and either part that rises with the ids, or one that each taxel has of its
 own; their size has a prior with a part at zero. The estimate is not moved: the mean squares of the
 lags, given the readings and over all sizes, count in the covariances, by the part by which the
-readings raise the probability of lags. Where they say nothing, nothing is added.
+readings raise the probability of lags. That part is a choice: the average over all models would add
+the prior's lags to each sound recording in which taxels are crossed in one direction.
 
 Source: Hoeting, Madigan, Raftery, Volinsky, "Bayesian model averaging: a tutorial", Statistical
 Science 14 (1999).
