@@ -220,8 +220,9 @@ def _simulated(job: _Job, plan: _Planned) -> _Calibrated:
             path = contacts.path
         hook = job.deadline.hook(job.progress, later)
         out = job.folder / "recording"
-        with warnings.catch_warnings():  # summary and report say this
-            warnings.filterwarnings("ignore", "the contact force left|.*of the path w")
+        with warnings.catch_warnings():
+            # summary and report say this, after the verdict
+            warnings.filterwarnings("ignore", "the contact force left")
             recording = simulate(scene, job.seed, path=path, out=out, progress=hook)
     remove_results(job.folder)
     with job.timer.stage("calibrate"):

@@ -7,7 +7,7 @@ they no longer move, so that the result is on the surface exactly; K only speeds
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +33,8 @@ class Charts:
     """T (n, 3, 2), orthonormal."""
     shape: Array
     """K (n, 2, 2), 1/m, symmetric."""
+    height: Array
+    """Heights (n,) of the points over the surface, m."""
 
     @property
     def rotations(self) -> Array:
@@ -42,7 +44,7 @@ class Charts:
     def __getitem__(self, rows: ArrayLike) -> Charts:
         """The charts of the given rows."""
         i = np.asarray(rows)
-        return Charts(self.points[i], self.normals[i], self.tangents[i], self.shape[i])
+        return Charts(*(values[i] for values in vars(self).values()))
 
     def at(self, y: Array) -> Array:
         """Points (n, 3) at the coordinates `y` (n, 2), m."""
@@ -55,8 +57,11 @@ class Charts:
         return np.asarray(self.tangents - self.normals[:, :, None] * sag[:, None, :])
 
 
-def charts_at(body: Body, points: Array, reference: Array | None = None) -> Charts:
-    """Charts about the surface points closest to `points` (n, 3), body frame, m.
+def charts_at(
+    body: Body, points: Array, reference: Array | None = None, height: Array | float = 0.0
+) -> Charts:
+    """Charts about the surface points closest to `points` (n, 3), body frame, m, or as far above
+    them as `height` (n,), m.
 
     reference (n, 3, 3): frames nearby, which the tangents continue by the shortest rotation; by
     default the tangents are those of `frames`.
@@ -68,17 +73,20 @@ def charts_at(body: Body, points: Array, reference: Array | None = None) -> Char
     around = body.closest((hit.point[:, None] + steps).reshape(-1, 3)).normal.reshape(-1, 4, 3)
     slope = (around[:, :2] - around[:, 2:]) / (2 * STEP)  # dn along each tangent
     shape = np.einsum("nai,nib->nab", slope, tangents)
-    return Charts(hit.point, hit.normal, tangents, (shape + shape.transpose(0, 2, 1)) / 2)
+    height = np.broadcast_to(height, len(points))
+    above = hit.point + height[:, None] * hit.normal
+    return Charts(above, hit.normal, tangents, (shape + shape.transpose(0, 2, 1)) / 2, height)
 
 
 def relinearized(body: Body, charts: Charts, y: Array) -> Charts:
     """Charts about the surface points closest to those of `charts` at `y` (n, 2), m.
 
-    The tangents are continued by the shortest rotation; the shape operators are kept.
+    The tangents are continued by the shortest rotation; shape operators and heights are kept.
     """
     hit = body.closest(charts.at(y))
     rotation = align_normals(charts.rotations, hit.normal)
-    return Charts(hit.point, hit.normal, rotation[:, :, :2], charts.shape)
+    above = hit.point + charts.height[:, None] * hit.normal
+    return replace(charts, points=above, normals=hit.normal, tangents=rotation[:, :, :2])
 
 
 def align_normals(rotations: Array, normals: Array) -> Array:

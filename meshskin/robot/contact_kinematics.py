@@ -118,6 +118,27 @@ class JointPath:
 
 
 @dataclass(frozen=True, eq=False)
+class AveragedPath(JointPath):
+    """A path of which each of m contacts has the mean angles of its frames: where the path turns
+    among them, these are not the angles at their mean time."""
+
+    apart: Array
+    """Times (f,), s, of the frames relative to the time of their contact."""
+    first: np.ndarray
+    """First frame (m,) of each contact."""
+
+    def at(self, time: Array, delays: Array | None = None) -> tuple[Array, Array]:
+        """Mean angles (m, k), rad, and rates, rad/s, of the contacts at times (m,), s; delays: as
+        of JointPath."""
+        count = np.diff(np.append(self.first, len(self.apart)))
+        angles, rates = (
+            np.add.reduceat(values, self.first, axis=0) / count[:, None]
+            for values in super().at(np.repeat(time, count) + self.apart, delays)
+        )
+        return angles, rates
+
+
+@dataclass(frozen=True, eq=False)
 class ContactKinematics(NamedFields):
     """A body on a link and an indenter on another one. Raises ArmError, UnknownNameError."""
 

@@ -107,17 +107,34 @@ def test_a_taxel_touched_once(world, noisy, clean):
     assert errors.mean() < 1.05 * np.delete(clean, 18).mean()
 
 
-def test_two_identical_taxels(world, noisy, clean):
-    recording = noisy[0]
+def with_twin(world, recording, factor):
+    """The recording with a taxel 999 whose readings are `factor` (k,) times those of the sixth, and
+    what is believed of both."""
     twin = recording.readings.filter(pa.array(recording.reading_taxel == world.ids[5]))
     ids = pa.array(np.full(twin.num_rows, 999, dtype=np.int32))
-    table = pa.concat_tables([recording.readings, twin.set_column(1, "taxel", ids)])
-    both = replace(recording, readings=table)
-    found = calibrate(both, world.belief(0.01, 0.05, taxel_ids=np.append(world.ids, 999)))
-    assert np.allclose(found.positions[5], found.positions[-1], atol=1e-9)
+    pressure = pa.array(twin["pressure"].to_numpy() * factor(twin.num_rows))
+    twin = twin.set_column(1, "taxel", ids)
+    twin = twin.set_column(twin.column_names.index("pressure"), "pressure", pressure)
+    both = replace(recording, readings=pa.concat_tables([recording.readings, twin]))
+    return both, world.belief(0.01, 0.05, taxel_ids=np.append(world.ids, 999))
+
+
+def test_two_taxels_at_one_place(world, noisy, clean):
+    rng = np.random.default_rng(1)
+    found = calibrate(*with_twin(world, noisy[0], lambda k: 1 + 1e-7 * rng.normal(size=k)))
+    assert np.allclose(found.positions[5], found.positions[-1], atol=1e-8)
     assert found.observed[[5, -1], :5].all()
     errors = np.linalg.norm(found.positions[:-1] - world.truth, axis=1)
     assert errors.mean() < 1.05 * clean.mean()
+
+
+def test_two_taxels_with_equal_readings_have_no_place(world, noisy, clean):
+    """One of them is a copy: nothing tells which, nor where it is. The others are as without."""
+    found = calibrate(*with_twin(world, noisy[0], np.ones))
+    assert np.isnan(found.positions[[5, -1]]).all()
+    assert any("equal to those of taxel 999" in reason for reason in found.reasons_left_out)
+    errors = np.linalg.norm(found.positions[:-1] - world.truth, axis=1)
+    assert np.nanmean(errors) < 1.05 * clean.mean()
 
 
 @pytest.mark.parametrize("method", METHODS)

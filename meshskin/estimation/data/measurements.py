@@ -89,6 +89,8 @@ class Measurements:
     medians of the contacts."""
     contact_errors: Array | None = None
     """Estimated errors (m, 3) of the contacts, along the semi-axes, m, and of ln F; None: none."""
+    heights: Array | None = None
+    """Heights (n,) of the taxels over the surface in their modules, m; None: not known, or zero."""
     unevenness: Array = field(default_factory=lambda: np.empty(0))
     """Parts (m,) of the peak pressures by which those of the contacts differ over edges
     (`patch_shape.over_edges`); empty: none, or the response is yet to be learned."""

@@ -9,7 +9,7 @@ import numpy as np
 from ...core.arrays import Array
 from ..result import ALIKE_CONTACTS, SHARED_ERRORS, EstimatorResult
 from ..uncertainty.goodness_of_fit import GoodnessOfFit
-from . import fault_detection, rejected_readings
+from . import fault_detection, gain_changes, rejected_readings
 from .contact_fields import ContactFields, contact_fields
 from .departures import FittedReadings, departure_scores, fitted_readings
 from .held_lags import HELD_LAGS, NAMED, held_lags
@@ -64,16 +64,18 @@ class ModelDepartures:
         words += [HELD_LAGS] if lags.score > NAMED else []
         return larger(by_errors, by_fields) + lags.covariances, words
 
-    def rejected(self, noise: float) -> Array:
-        """What readings that were left out add to the tangential covariances (n, 2, 2), m^2; noise:
-        factor of the readings' standard deviations."""
+    def rejected(self, estimator: JointEstimator, noise: float) -> Array:
+        """What readings that were left out, and gains that change, add to the tangential
+        covariances (n, 2, 2), m^2; noise: factor of the readings' standard deviations."""
         if self.fitted is None:
             return np.zeros((2, 2))
         readings = self.fitted.readings
         spread = fault_detection.spread(readings, noise)
         spread /= np.sqrt(np.maximum(readings.precision, 1e-300))
         moved = rejected_readings.displacements(self.fitted, readings.precision, spread)
-        return np.asarray(moved[:, :, None] * moved[:, None])
+        whole = fitted_readings(estimator, np.ones_like(readings.weight))
+        both = np.stack([moved, gain_changes.displacements(whole, noise)])
+        return np.asarray(np.einsum("sni,snj->nij", both, both))
 
     def scores(self, estimator: JointEstimator) -> dict[str, float]:
         """The score of each, by its name."""

@@ -117,7 +117,7 @@ def _result(optimum: Optimum) -> EstimatorResult:
     else:
         wide = widened(estimator, covariance[:, :2, :2], scale)
         tangential, factors = _tangential(estimator, wide, fit, found, rivals)
-        tangential = tangential + found.rejected(scale**0.5)
+        tangential = tangential + found.rejected(estimator, scale**0.5)
     modulus, modulus_sigma = _modulus(estimator, shared)
     deviation, groups = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), np.arange(len(state.z))
     own, own_sigma = (problem.nuisance(part, groups) for part in (state.z, deviation))

@@ -149,7 +149,8 @@ class SurfaceParametrization:
 
     def about(self, body: Body, points: Array) -> SurfaceParametrization:
         """The parametrization linearized at other points (n, 3), m."""
-        return replace(self, charts=chart.charts_at(body, points, self.rotations()))
+        charts = chart.charts_at(body, points, self.rotations(), self.charts.height)
+        return replace(self, charts=charts)
 
 
 @dataclass(frozen=True)

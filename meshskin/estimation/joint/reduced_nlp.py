@@ -130,7 +130,7 @@ class _Evaluator:
 
     def hessian(self, x: Array) -> Array:
         """Gauss-Newton's with the curvature along the last step, by a BFGS update. Where the model
-        misfits the cost has a third of Gauss-Newton's curvature or less, whose steps are as short.
+        misfits, the cost has a third of that curvature or less, and steps without it are too short.
         """
         hessian, (step, slope) = self.at(x).hessian, self.step
         expected = hessian @ step

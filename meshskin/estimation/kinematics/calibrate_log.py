@@ -109,7 +109,7 @@ def calibrate_log(
         as_believed[kinematics.columns["clock_offset"]] = -clock
     before = heights.residuals(as_believed)[0]
     after, factor = heights.residuals(x)[0], float(np.exp(x[-1]))
-    by_joint = joint_residuals(kinematics, path, heights.time, belief.body, after, x[:-1])
+    by_joint = joint_residuals(kinematics, heights.path, heights.time, belief.body, after, x[:-1])
     found = _with_clock(found, clock)
     moved = moved if moved > LINEAR else shift if shift > APART else 0.0
     result = LogCalibration(
@@ -215,12 +215,12 @@ def _started(
         centres = timed.centres(path, log.time[frames] - clock, s)[0]
         above = surface_heights(timed, belief.body, centres, s)[0]
         depth = float(depths(belief, np.zeros((1, 2)), np.array([reference]))[0])
-        used = steady(on_clock, frames, centres, above, depth, belief.indenter.radius)
+        used, means = steady(on_clock, path, frames, centres, above, depth, belief.indenter.radius)
         time, force = used.time - clock, _forces(used, reference)
-        timed = timed_by_the_fastest(kinematics, path, time, belief.body)
+        timed = timed_by_the_fastest(kinematics, means, time, belief.body)
         begin = on_clock.time[[touch.start for touch in on_clock.contacts]]
         touch = np.searchsorted(begin, used.time, side="right")
-        heights, x = _heights(timed, path, time, belief, force, touch)
+        heights, x = _heights(timed, means, time, belief, force, touch)
         s = x[:-1]
     return used, clock, heights, x
 

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from ...core.arrays import Array
 from ...recording.skin_log import SkinLog
+from ...robot.contact_kinematics import AveragedPath, JointPath
 
 ALIKE = 0.1
 """Distance of the indenter's centres, in contact radii, up to which frames are one contact: the
@@ -32,12 +33,19 @@ test_bag.py` is not within 1.2 of its bound."""
 
 
 def steady(
-    log: SkinLog, frames: np.ndarray, centres: Array, heights: Array, depth: float, radius: float
-) -> SkinLog:
-    """The log of the steady contacts among the `frames` (m,), one frame each.
+    log: SkinLog,
+    path: JointPath,
+    frames: np.ndarray,
+    centres: Array,
+    heights: Array,
+    depth: float,
+    radius: float,
+) -> tuple[SkinLog, AveragedPath]:
+    """The log of the steady contacts among the `frames` (m,), one frame each, and their path.
 
-    centres (m, 3), m, of the indenter in the body frame and its heights (m,), m, over the body;
-    depth, m, of a contact, and radius, m, of the indenter. Readings, angles and forces are means.
+    path: of the joints in all frames; centres (m, 3), m, of the indenter in the body frame and its
+    heights (m,), m, over the body; depth, m, of a contact, and radius, m, of the indenter.
+    Readings, angles and forces are means.
     """
     radius = float(np.sqrt(radius * depth))  # of a contact (Hertz)
     group = _alike(log, frames, centres, ALIKE * radius)
@@ -53,7 +61,7 @@ def steady(
     else:
         kept = np.ones(len(first), dtype=bool)
     kept &= np.cumsum(kept) % -(-kept.sum() // MAX_CONTACTS) == 0
-    return _means(log, frames, group, np.flatnonzero(kept))
+    return _means(log, path, frames, group, np.flatnonzero(kept))
 
 
 def _alike(log: SkinLog, frames: np.ndarray, centres: Array, distance: float) -> np.ndarray:
@@ -86,8 +94,11 @@ def _shallow(
     return out
 
 
-def _means(log: SkinLog, frames: np.ndarray, group: np.ndarray, kept: np.ndarray) -> SkinLog:
-    """The log of the groups `kept` of its frames (m,), each as one frame; `group` (m,)."""
+def _means(
+    log: SkinLog, path: JointPath, frames: np.ndarray, group: np.ndarray, kept: np.ndarray
+) -> tuple[SkinLog, AveragedPath]:
+    """The log of the groups `kept` of its frames (m,), each as one frame, and their path; `group`
+    (m,)."""
     order = np.full(group[-1] + 1, -1)
     order[kept] = np.arange(len(kept))
     rows, row = frames[order[group] >= 0], order[group][order[group] >= 0]
@@ -103,11 +114,13 @@ def _means(log: SkinLog, frames: np.ndarray, group: np.ndarray, kept: np.ndarray
         known_enough = 2 * count >= frames_of
         return np.asarray(np.where(known_enough, total / np.maximum(count, 1), np.nan))
 
-    return replace(
+    time = mean(log.time)
+    means = replace(
         log,
-        time=mean(log.time),
+        time=time,
         joint_angles=mean(log.joint_angles),
         readings=mean(log.readings),
         in_contact=np.ones(len(kept), dtype=bool),
         force=None if log.force is None else mean(log.force),
     )
+    return means, AveragedPath(path.time, path.angles, log.time[rows] - time[row], start)

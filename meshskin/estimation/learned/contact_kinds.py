@@ -26,9 +26,10 @@ from .random_effects import RandomEffects
 MIN_SHARE = 0.05
 """Least part of the contacts that is a kind: fewer are accidents."""
 MIN_APART = 0.05
-"""Least distance of the means, in contact radii."""
+"""Least distance of the means, in contact radii: nearer kinds are taken for scatter, of which half
+their distance is the standard deviation."""
 QUANTILES = (np.arange(9) + 0.5) / 9
-"""Probabilities of the means along a line of scatter that is none of two kinds: on three bodies the
+"""Probabilities whose quantiles are the means of scatter along a line: on three bodies the
 score was 1.1 at most for scatter by 0.3 to 1 mm, uniform, normal, Laplace's, Student's or a sine's,
 7 to 25 for halves and quarters displaced by 1 or 2 mm, and 5 with scatter by 0.3 mm beside that."""
 SCATTERS = tuple(

@@ -48,7 +48,7 @@ from .contact_kinds import contact_kinds
 from .departure_search import first_estimate, plausible, with_departures
 from .deviations import UNMEASURED_FORCE, Deviations
 from .estimated_response import response_levels
-from .modules import moved_to_modules
+from .modules import heights_of_taxels, moved_to_modules
 from .random_effects import MAX_DECREASE, MAX_ITERATIONS, RandomEffects
 from .response_groups import response_groups
 from .result import learned_result
@@ -149,6 +149,8 @@ def _attempt(
     found = learned_result(effects, estimator, rivals, reasons, clock)
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)
+        if data.heights is None and (heights := heights_of_taxels(data, found)) is not None:
+            return replace(recorded, heights=heights), excluded
     fitted = effects.fitted()
     jump, kinds = largest_jump(fitted), contact_kinds(effects)
     jump = max(jump, _jump_without_errors(effects, live), key=lambda jump: jump.score)
@@ -235,7 +237,8 @@ def _begin(
     data: Measurements, live: np.ndarray, start: EstimatorResult, stage: Stage
 ) -> RandomEffects:
     """The estimate at its start."""
-    charts = chart.charts_at(data.body, start.points[live], start.rotations[live])
+    height = 0.0 if data.heights is None else data.heights[live]
+    charts = chart.charts_at(data.body, start.points[live], start.rotations[live], height)
     s, nuisance = data.parameters.start(), np.zeros((len(live), 2))
     if start.modulus is not None and data.unit == 1.0:
         s[data.parameters.columns["modulus"]] = np.log(start.modulus / data.modulus)

@@ -21,6 +21,7 @@ from ..joint.coupled_system import CoupledSystem
 from ..joint.module_parametrization import (
     MODULE_SURFACE,
     MODULES,
+    SURFACE_SIGMA,
     ModuleParametrization,
     align_modules,
 )
@@ -113,6 +114,19 @@ def moved_to_modules(
         rivals=rivals,
         factors=(*found.factors, MODULES, MODULE_SURFACE, *words),
     )
+
+
+def heights_of_taxels(data: Measurements, found: EstimatorResult) -> Array | None:
+    """Heights (n,), m, of the taxels of rigid modules over the surface, 0 of those that have no
+    place; None where all are within the tolerance of their placement.
+
+    The normal turns along the skin: a taxel at a height h, a from the contact on a surface of
+    radius R, seems displaced by h a / R, as by contact points that err.
+    """
+    placed = np.isfinite(found.points).all(axis=1)
+    heights = np.zeros(len(found.points))
+    heights[placed] = data.body.closest(found.points[placed]).distance
+    return heights if np.abs(heights).max() > SURFACE_SIGMA else None
 
 
 def _module(

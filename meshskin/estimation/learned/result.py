@@ -15,6 +15,7 @@ from ..chart import tangential_square
 from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION
 from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
+from ..joint.gain_changes import GAIN_CHANGES, gain_changes
 from ..joint.held_lags import HELD_LAGS, NAMED, held_lags
 from ..joint.joint_estimator import MAX_CHI2, JointEstimator
 from ..joint.leaks import further_shares, leak_covariances
@@ -38,7 +39,6 @@ from ..result import (
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .contact_correlations import alike_errors, fewer_contacts, force_scatter
 from .estimated_response import learned_response
-from .gain_changes import GAIN_CHANGES, gain_changes
 from .lags import LAGS, MAX_LEVERAGE, contact_leverage, lags
 from .marginal_slope import slope_beyond_mode
 from .random_effects import RandomEffects

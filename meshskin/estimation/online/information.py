@@ -27,7 +27,7 @@ class TaxelInformation:
         self.weight = parameters.sigma**-2
         self.prior = _precisions(parameters, unit)
         """Prior precisions (D,) of a taxel's own unknowns, which the normal equations hold."""
-        self.charts = Charts(*(np.zeros((n, *s)) for s in ((3,), (3,), (3, 2), (2, 2))))
+        self.charts = Charts(*(np.zeros((n, *s)) for s in ((3,), (3,), (3, 2), (2, 2), ())))
         self.nuisance, self.shared = np.zeros((n, q)), np.zeros((n, ks))
         """z_0 (n, q) and s_0 (n, ks)."""
         self.gradient = np.zeros((n, self.size + ks))

@@ -112,8 +112,8 @@ def live_taxels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the taxels that are estimated from `start`, and the reasons (n,) of the others.
 
-    stuck: rows of taxels with constant readings. Of two taxels with equal readings none tells which
-    one has them from the other. Raises CalibrationError if no taxel is left.
+    stuck: rows of taxels with constant readings. Two taxels with equal readings are both left out:
+    which of them is a copy is not known. Raises CalibrationError if no taxel is left.
     """
     responds = responsive(data, start.points)
     reasons = np.where(start.found & ~responds, NOISE, start.reasons)

@@ -87,7 +87,7 @@ def systematic_covariance(
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
     out[:, 2, 2] += normal_variance(data, hit.distance) + data.belief.surface_sigma**2
     out[:, 2, 2] += np.einsum("ni,ni->n", rotations[:, :, 2], swapped) ** 2
-    return out + sheet_covariance(data.body, places, rotations[:, :, 2])
+    return out + sheet_covariance(data.body, places)
 
 
 def displacement(distance: Array, normals: Array) -> Array:

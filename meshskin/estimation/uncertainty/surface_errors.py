@@ -84,22 +84,24 @@ def tilts(data: Measurements, points: Array, distance: Array) -> Array:
     return np.asarray(data.belief.indenter.radius * slope)
 
 
-def sheet_covariance(body: Any, points: Array, normals: Array) -> Array:
-    """What another sheet adds to the covariances (n, 6, 6) of poses at `points` (n, 3), m, with
-    `normals` (n, 3), taxel frame: its distance along the normal and its tilt, squared.
+def sheet_covariance(body: Any, points: Array) -> Array:
+    """What another sheet adds to the covariances (n, 6, 6) of poses at `points` (n, 3), m, taxel
+    frame: its distance along the normal and its tilt, squared.
 
     It faces the same way and is so near that contacts of the taxel press it, too: the taxel may be
-    on either. Zero where there is none, or where a point is not known.
+    on either. Both are measured from the surface below the taxel: those of a rigid module are off
+    it. Zero where there is none, or where a point is not known.
     """
     out = np.zeros((len(points), 6, 6))
     rows = np.flatnonzero(np.isfinite(points).all(axis=1))
     if not len(rows) or not hasattr(body, "project"):  # an exact surface has one sheet
         return out
+    own = body.closest(points[rows])
     height, tilt = np.zeros(len(rows)), np.zeros(len(rows))
     for way in (1.0, -1.0):  # rays from above and from below
-        start = points[rows] + way * SHEET_STEP * normals[rows]
-        hit = body.project(start, -way * normals[rows])
-        cosine = np.einsum("ij,ij->i", hit.normal, normals[rows])
+        start = own.point + way * SHEET_STEP * own.normal
+        hit = body.project(start, -way * own.normal)
+        cosine = np.einsum("ij,ij->i", hit.normal, own.normal)
         apart = np.abs(SHEET_STEP - hit.distance)
         farther = (
             (cosine > SHEET_FACING) & (apart < SHEET_STEP) & (apart > np.maximum(height, SAME))

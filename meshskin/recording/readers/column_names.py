@@ -31,7 +31,7 @@ OTHER_NAMES = {"qd", "dq", "qdd", "qdot", "dot", "velocity", "velocities", "vel"
                "mode", "imu", *COMMANDED}  # fmt: skip
 """Words of the names of columns that are neither measured joint angles nor taxels."""
 AXES = {"x", "y", "z", "w", *QUATERNION, "fx", "fy", "fz", "force", "pressure"}
-"""Words of the names of single columns that are no angles."""
+"""Words of the names of single columns that are not angles."""
 ANGLES = {"": "", "rad": "rad", "radian": "rad", "radians": "rad", "deg": "deg", "degree": "deg",
           "degrees": "deg", "\N{DEGREE SIGN}": "deg"}  # fmt: skip
 """Units of the names of columns of angles, with those of the map."""

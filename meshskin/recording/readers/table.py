@@ -1,8 +1,8 @@
 """CSV and Parquet files with a column of times, or folders of them.
 
 Columns are streams by their names (column_names.py); in a folder the name of the file comes before:
-joints/q_*. Between columns are commas, or semicolons, tabs or spaces where the header has these; a
-file without commas between columns may have decimal commas.
+joints/q_*. Between columns are commas, or semicolons, tabs or single spaces where the header has
+these; a file without commas between columns may have decimal commas.
 """
 
 from __future__ import annotations

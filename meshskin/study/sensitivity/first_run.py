@@ -40,6 +40,8 @@ PER_CONTACT = 1.1e-3
 PER_BYTE, PER_ASCII_BYTE = 2e-7, 5e-8
 """Least processor seconds of loading, checking and covering a mesh for each byte of its file:
 binary STL 2.3e-7 to 2.7e-7 (1,310,720 and 81,920 faces), OBJ 4e-7, PLY 7e-7; ASCII STL 6e-8."""
+TIMED = (".stl", ".obj", ".ply")
+"""Mesh files of which this was measured, and that hold little but vertices and faces."""
 PACED = 0.1
 """Part of the loop from which its pace is known: the approach and the first touch are over."""
 AFTER_LOOP = 1.3
@@ -75,10 +77,10 @@ class FirstRun:
 
 def least_loading(tables: Mapping[str, Any], folder: Path) -> float:
     """A lower bound of the processor seconds of loading the scene of merged TOML tables whose paths
-    start from `folder`, from the size of its mesh file."""
+    start from `folder`, from the size of its mesh file; 0 for formats that may hold images, too."""
     body = tables.get("body")
     mesh = folder / str(body.get("mesh", "")) if isinstance(body, Mapping) else folder
-    if not mesh.is_file():
+    if mesh.suffix.lower() not in TIMED or not mesh.is_file():
         return 0.0
     with mesh.open("rb") as opened:
         ascii_stl = opened.read(5) == b"solid"

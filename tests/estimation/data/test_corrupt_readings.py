@@ -1,13 +1,14 @@
 """Single readings that no contact explains cost no more than themselves."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
 import pytest
 
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.data.corrupt_readings import spikes, stuck_readings
+from meshskin.estimation.data.corrupt_readings import repeated_frames, spikes, stuck_readings
 from meshskin.estimation.data.gather import gather
 from meshskin.recording.recording import READING_SCHEMA, Recording
 
@@ -43,6 +44,28 @@ def test_a_log_that_was_joined_to_itself_tells_nothing_new(world, recording, sou
     found = calibrate(Recording(*twice, recording.metadata), world.belief(noise, 0.05))
     assert found.positions == pytest.approx(sound[noise].positions, abs=1e-7)
     assert found.position_sigma == pytest.approx(sound[noise].position_sigma, rel=0.01)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_coarse_readings_of_a_robot_that_holds_still_all_count(seed):
+    """Eight places, of 30 frames each with one reading of few values; then the log twice."""
+    rng, m = np.random.default_rng(seed), 240
+    points, level = np.repeat(rng.normal(size=(8, 3)), 30, axis=0), rng.normal(size=m).round() + 9
+
+    def repeated(copies):
+        frame = np.arange(copies * m)
+        log = SimpleNamespace(
+            time=frame, points=np.tile(points, (copies, 1)), force=np.ones(copies * m),
+            pressure=np.tile(level, copies), reading_contact=frame,
+            reading_taxel=np.full(copies * m, 3),
+        )  # fmt: skip
+        return repeated_frames(log)
+
+    one_after_another = (np.diff(level) == 0) & (np.arange(1, m) % 30 > 0)
+    np.testing.assert_array_equal(repeated(1), np.append(False, one_after_another))
+    np.testing.assert_array_equal(repeated(3)[:m], repeated(1))
+    assert repeated(3)[m:].all()
+    assert len(repeated(0)) == 0
 
 
 @pytest.mark.parametrize("noise", [0.01, None])

@@ -64,7 +64,10 @@ class StrokingRobot:
         """Body, skin, indenter and material; no arm, no effects."""
         body = self.surface or self.robot.body(self.link, open=True)
         every = ms.Skin.cover(body, spacing=6e-3, seed=1)
-        far = np.linalg.norm(every.positions - np.array(self.about), axis=1)
+        about = np.array(self.about)
+        facing = every.normals @ body.closest(about[None]).normal[0] > 0
+        # the wall of the iCub's forearm is 2 mm thick, and has taxels on its inside, too
+        far = np.where(facing, np.linalg.norm(every.positions - about, axis=1), np.inf)
         kept = np.sort(np.argsort(far)[: self.taxels])
         skin = ms.Skin(every.poses[kept], np.arange(len(kept)), every.disc_radius)
         return ms.Scene(

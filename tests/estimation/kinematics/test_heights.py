@@ -1,4 +1,4 @@
-"""Heights over bodies that more than one place of the contacts meets nearly."""
+"""Heights over bodies on which the contacts nearly fit in more than one place."""
 
 import numpy as np
 import pytest

@@ -1,11 +1,14 @@
 """The steady contacts of a dense log."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from meshskin.estimation.kinematics import steady as module
 from meshskin.estimation.kinematics.steady import steady
 from meshskin.recording.skin_log import SkinLog
+from meshskin.robot.contact_kinematics import JointPath
 
 RADIUS, DEPTH = 10e-3, 1.6e-3
 """Of the indenter and of a contact, m: its radius is 4 mm."""
@@ -31,9 +34,15 @@ def presses(force=None):
     return log, frames, centres
 
 
+def steadied(log, frames, centres, angles=None):
+    """The steady contacts, and their path, of joint angles (n, 1) that are those of the log."""
+    path = JointPath(log.time, log.joint_angles if angles is None else angles)
+    return steady(log, path, frames, centres, centres[:, 2], DEPTH, RADIUS)
+
+
 def test_the_frames_at_rest_of_each_press_are_one_contact():
     log, frames, centres = presses()
-    found = steady(log, frames, centres, centres[:, 2], DEPTH, RADIUS)
+    found, _ = steadied(log, frames, centres)
     # the hold, with the frames at 7/8 of the depth before and after it
     deepest = found.readings[:, 0] > 95
     assert deepest.sum() == 2
@@ -47,7 +56,7 @@ def test_the_frames_at_rest_of_each_press_are_one_contact():
 
 def test_measured_forces_keep_the_frames_on_the_way():
     log, frames, centres = presses(force=3.0)
-    found = steady(log, frames, centres, centres[:, 2], DEPTH, RADIUS)
+    found, _ = steadied(log, frames, centres)
     assert found.readings[:, 0].min() < 20
     assert found.force == pytest.approx(3.0)
 
@@ -55,10 +64,27 @@ def test_measured_forces_keep_the_frames_on_the_way():
 def test_contacts_far_apart_stay_and_many_are_thinned(monkeypatch):
     log, frames, centres = presses(force=3.0)
     centres = centres + 1e-3 * np.arange(52)[:, None]
-    every = steady(log, frames, centres, centres[:, 2], DEPTH, RADIUS)
+    every, _ = steadied(log, frames, centres)
     assert np.array_equal(every.readings[:, 0], log.readings[frames, 0])
     monkeypatch.setattr(module, "MAX_CONTACTS", 52)
-    assert len(steady(log, frames, centres, centres[:, 2], DEPTH, RADIUS).time) == 52
+    assert len(steadied(log, frames, centres)[0].time) == 52
     monkeypatch.setattr(module, "MAX_CONTACTS", 20)
-    few = steady(log, frames, centres, centres[:, 2], DEPTH, RADIUS)
+    few, _ = steadied(log, frames, centres)
     assert 15 <= len(few.time) <= 20
+
+
+@pytest.mark.parametrize("late", [0.0, 0.1])
+def test_frames_about_a_turn_of_the_path_are_a_contact_at_their_mean_place(late):
+    """A joint that moves the contact to and fro, and readings that tell where it is; late: of the
+    stamps of the frames, s."""
+    log, frames, centres = presses(force=3.0)
+    angles = 1e-4 * np.abs((log.time - late)[:, None] / 0.02 - 17.0)  # 0.1 mm in each frame
+    place = JointPath(log.time, angles).at(log.time + late)[0]
+    inside = frames + round(late / 0.02) < len(log.time)
+    frames, centres = frames[inside], centres[inside]
+    log = replace(log, readings=np.repeat(place, 2, axis=1))
+    found, path = steadied(log, frames, np.pad(place[frames], ((0, 0), (0, 2))), angles)
+    averaged = path.at(found.time + late)[0][:, 0]
+    np.testing.assert_allclose(averaged, found.readings[:, 0], atol=1e-12)
+    at_mean_time = JointPath(log.time, angles).at(found.time + late)[0][:, 0]
+    assert np.abs(at_mean_time - found.readings[:, 0]).max() > 5e-5

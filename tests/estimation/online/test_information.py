@@ -39,7 +39,7 @@ def test_readings_in_parts_are_those_at_once():
         hessian[owner[k]] += precision[k] * np.outer(jacobian[k], jacobian[k])
         gradient[owner[k]] -= precision[k] * level[k] * jacobian[k]
     hessian[:, 2:4, 2:4] += np.diag(PRIOR**-2.0)
-    charts = Charts(*(np.zeros((N, *s)) for s in ((3,), (3,), (3, 2), (2, 2))))
+    charts = Charts(*(np.zeros((N, *s)) for s in ((3,), (3,), (3, 2), (2, 2), ())))
     information.counted[:] = True
     information.put(np.arange(N), charts, np.zeros((N, 2)), gradient, hessian)
     for part in rest:

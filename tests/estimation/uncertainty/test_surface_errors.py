@@ -44,14 +44,27 @@ def lid():
 
 def test_a_sheet_below_and_a_sheet_above(lid):
     places = np.array([[0.0, 0.0, 0.0], [0.01, 0.01, -0.4e-3], [0.03, 0.02, 0.0], [np.nan] * 3])
-    found = np.sqrt(sheet_covariance(lid, places, np.tile(UP, (4, 1))))
+    found = np.sqrt(sheet_covariance(lid, places))
     assert found[:, 2, 2] == pytest.approx([0.4e-3, 0.4e-3, 0.0, 0.0], abs=1e-8)
     assert found[:, 3, 3] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_taxels_of_rigid_modules_are_off_their_sheet(lid):
+    """Their height over the surface is not the distance of another sheet."""
+    places = np.array([[0.03, 0.02, 0.3e-3], [0.0, 0.0, 0.3e-3], [0.0, 0.01, -0.7e-3]])
+    found = np.sqrt(sheet_covariance(lid, places)[:, 2, 2])
+    assert found == pytest.approx([0.0, 0.4e-3, 0.4e-3], abs=1e-8)
+    body = ms.Body.capsule(radius=0.05, length=0.15)
+    for seed in range(3):
+        disc = ms.Disc(point=(0.05, 0.0, 0.0), radius=0.045)
+        modules = ms.Skin.modules(body, count=3, region=disc, seed=seed).skin
+        assert np.abs(body.closest(modules.positions).distance).max() > 0.2e-3
+        assert not sheet_covariance(body, modules.positions).any()
+
+
 def test_the_other_face_of_a_thin_plate_is_no_such_sheet():
     plate = ms.Body.from_mesh(box((0.08, 0.06, 0.6e-3), 0.0))
-    assert np.abs(sheet_covariance(plate, np.zeros((1, 3)), UP[None])).max() < 1e-15
+    assert np.abs(sheet_covariance(plate, np.zeros((1, 3)))).max() < 1e-15
 
 
 def test_a_thin_plate_in_any_position_gives_no_warning():
@@ -61,11 +74,10 @@ def test_a_thin_plate_in_any_position_gives_no_warning():
         turn = trimesh.transformations.euler_matrix(angle, 2.0 * angle, 3.0 * angle)
         mesh.apply_transform(turn)
         up = turn[:3, :3] @ UP
-        normals = np.tile(up / np.linalg.norm(up), (20, 1))
         top = mesh.vertices @ up
         places = top.max() * up + np.linspace(-0.02, 0.02, 20)[:, None] * turn[:3, 0]
         with np.errstate(invalid="raise"):
-            found = sheet_covariance(ms.Body.from_mesh(mesh), places, normals)
+            found = sheet_covariance(ms.Body.from_mesh(mesh), places)
         assert np.isfinite(found).all()
 
 
