@@ -109,9 +109,7 @@ def calibrate_log(
         as_believed[kinematics.columns["clock_offset"]] = -clock
     before = heights.residuals(as_believed)[0]
     after, factor = heights.residuals(x)[0], float(np.exp(x[-1]))
-    by_joint = joint_residuals(
-        kinematics, heights.path, heights.time, belief.body, after, x[:-1]
-    )
+    by_joint = joint_residuals(kinematics, heights.path, heights.time, belief.body, after, x[:-1])
     found = _with_clock(found, clock)
     moved = moved if moved > LINEAR else shift if shift > APART else 0.0
     result = LogCalibration(
