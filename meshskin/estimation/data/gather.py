@@ -40,8 +40,11 @@ STIFFER = 3.0
 place: the factor on E* from which the verdict doubts. Wider contacts are errors of units."""
 
 
-def gather(recording: Recording, belief: Belief) -> Measurements:
+def gather(recording: Recording, belief: Belief, repeated: bool = False) -> Measurements:
     """The measurements of a recording under a belief.
+
+    repeated: whether contacts count that repeat an earlier one to the last digit, as those of
+    several passes that were simulated without noise do.
 
     Contacts without force (approach) have no patch and are left out, with their readings; so are a
     few corrupt readings, those of taxels that are stuck for a while, and spikes of taxels that
@@ -59,7 +62,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     if learned:
         belief = replace(belief, contact=contact.LEARNED)
     belief, points, hit = _on_body(recording, belief, learned)
-    selected, belief = _pressed(recording, belief, index, points, hit)
+    selected, belief = _pressed(recording, belief, index, points, hit, repeated)
     unit_checks.check_force(recording.force[selected.used], belief.force_reference or 1.0)
     selected.leave_out_invalid(belief, points, hit, learned)
     data = _measurements(selected, belief, points, hit, headings, learned)
@@ -218,16 +221,22 @@ class _Selection:
 
 
 def _pressed(
-    recording: Recording, belief: Belief, index: np.ndarray, points: Array, hit: Closest
+    recording: Recording,
+    belief: Belief,
+    index: np.ndarray,
+    points: Array,
+    hit: Closest,
+    repeated: bool,
 ) -> tuple[_Selection, Belief]:
     """The contacts with a force and their readings that are not corrupt, and the belief with what
-    raw readings tell of threshold and saturation."""
+    raw readings tell of threshold and saturation; repeated: as of `gather`."""
     pressure, unit, falling, used = recording.pressure, 1.0, False, recording.force > 0
     if belief.readings == RAW and used.any() and np.isfinite(pressure).any():
         pressure, belief, unit, falling = nominal_pressure(
             recording, belief, index, hit.curvature, used
         )
-    used = used & ~corrupt_readings.repeated_frames(recording)
+    if not repeated:
+        used = used & ~corrupt_readings.repeated_frames(recording)
     corrupt = corrupt_readings.corrupt_readings(pressure, index)
     read = used[recording.reading_contact] & (pressure > 0) & ~corrupt
     _require_readings(read, recording, used)

@@ -84,7 +84,7 @@ def cramer_rao(recording: Recording, belief: Belief, skin: Skin) -> Bound:
     [1 - Phi(c) + c phi(c) + phi(c)^2 / Phi(c)] / sigma^2 with c = (threshold - mu) / sigma.
     Raises CalibrationError if the belief knows no noise.
     """
-    data = gather(recording, belief)
+    data = gather(recording, belief, repeated=True)
     if data.noise is None:
         raise CalibrationError(
             "the Cramér-Rao bound needs the noise of the readings",

@@ -61,7 +61,7 @@ def calibrated(world, log, young=YOUNG):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["panda.urdf", "icub.urdf"])
 def test_a_bag_with_forces_alone(tmp_path, monkeypatch, name):
-    world = standing(name, 1)
+    world = standing(name, 1, strokes=56)  # 40 leave nine taxels of the iCub aside
     monkeypatch.setattr(robot_log, "JOINTS", world.chain.joint_names)
     robot_log.write_mcap(tmp_path / "log.mcap", world.streams(force=True))
     count = len(world.scene.skin)

@@ -19,6 +19,7 @@ from meshskin.estimation.uncertainty.metrics import (
     summary_mm,
 )
 from meshskin.estimation.uncertainty.observability import cramer_rao, mean_distance
+from meshskin.simulation.contact_samplers import concatenate
 
 
 def test_mean_distance_against_samples_and_closed_forms():
@@ -66,6 +67,13 @@ def test_bound_increases_with_the_noise_and_marks_unbounded_taxels(world):
             world.belief(0.01, 0.05),
             SimpleNamespace(ids=world.ids[1:], positions=far[1:]),
         )
+
+
+def test_a_second_pass_without_noise_halves_the_variances_of_the_bound(world):
+    recording, belief = world.record(0.0, 0.05), world.belief(0.01, 0.05)
+    once = cramer_rao(recording, belief, world.skin)
+    twice = cramer_rao(concatenate(recording, recording), belief, world.skin)
+    assert once.rms / twice.rms == pytest.approx(np.sqrt(2), rel=1e-3)
 
 
 def test_unknown_modulus_costs_information(world):
