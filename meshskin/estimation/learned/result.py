@@ -15,7 +15,8 @@ from ..chart import tangential_square
 from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION
 from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
-from ..joint.gain_changes import GAIN_CHANGES, gain_changes
+from ..joint.departures import FittedReadings
+from ..joint.gain_changes import GAIN_CHANGES, displacements, gain_changes
 from ..joint.held_lags import HELD_LAGS, NAMED, held_lags
 from ..joint.joint_estimator import MAX_CHI2, JointEstimator
 from ..joint.leaks import further_shares, leak_covariances
@@ -174,8 +175,22 @@ def _tangential(
         departures[HELD_LAGS] = late.score
     tangential *= _few_readings(effects)[:, None, None]
     rejected = rejected_readings.displacements(fitted, effects.spread**-2.0, effects.spread)
-    tangential += _leaks(effects) + rejected[:, :, None] * rejected[:, None]
+    both = np.stack([rejected, displacements(_whole(effects), 1.0)])
+    tangential += _leaks(effects) + np.einsum("sni,snj->nij", both, both)
     return tangential, factors, departures
+
+
+def _whole(effects: RandomEffects) -> FittedReadings:
+    """All readings with their full weights, outlying ones, too, at the contacts' errors."""
+    fitted = effects.fitted()
+    observed, precision = effects.readings.kind == OBSERVED, effects.spread**-2.0
+    off = effects.mu - effects.readings.level / effects.data.sigma
+    return replace(
+        fitted,
+        rate=np.where(observed, precision * off, fitted.rate),
+        curvature=np.where(observed, precision, fitted.curvature),
+        system=None,
+    )
 
 
 def _small_effects(effects: RandomEffects, fit: GoodnessOfFit) -> dict[str, SmallEffects]:
