@@ -61,6 +61,9 @@ SURROUNDINGS = 0.4
 """Part of the mesh that a close view shows around the dots, relative to their extent."""
 LEAST_DISC = 0.006
 """Least radius of a dot, relative to the extent of the picture: a pixel of a card."""
+MOST_DISC, COVER = 0.02, 0.12
+"""Largest radius of dots that have no size of their own, in the same unit, and that of one alone if
+all together cover the same area."""
 HIDDEN = 0.12
 """Opacity of a dot on the far side of the body."""
 OBLIQUE = (0.45, -0.75, 0.48)
@@ -261,7 +264,8 @@ def solid(
             at = view.flat(points[np.isfinite(points).all(axis=1)])
             every = np.concatenate([*seen, at])
             extent = float(np.ptp(every, axis=0).max()) / MM if len(every) else 0.0
-            disc = max(radius, LEAST_DISC * extent)
+            free = COVER / max(len(at), 1) ** 0.5 if not radius else 0.0
+            disc = max(radius, min(max(free, LEAST_DISC), MOST_DISC) * extent)
             _draw_dots(ax, view, points, normals, values, label, disc)
             seen += [at - MM * disc, at + MM * disc]
         every = np.concatenate(seen)

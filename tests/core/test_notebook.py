@@ -64,6 +64,22 @@ def test_a_scale_of_colours_has_its_values_in_its_middle():
     assert 3.0 - low == pytest.approx(high - 3.01)
 
 
+def test_few_dots_without_a_size_are_large_and_many_small():
+    """Relative to the extent of the picture."""
+
+    def disc(count, radius=0.0):
+        points = np.random.default_rng(count).normal(size=(count, 3))
+        shown = drawing.solid(None, points=points, values=np.arange(count), radius=radius)
+        (dots,) = shown.axes[0].collections
+        at = dots.get_offsets()
+        return dots.get_widths()[0] / 2 / np.ptp(at, axis=0).max()
+
+    assert disc(36) == pytest.approx(drawing.MOST_DISC)
+    assert disc(100) == pytest.approx(0.012)
+    assert disc(1000) == pytest.approx(drawing.LEAST_DISC)
+    assert disc(36, radius=1e-6) == pytest.approx(drawing.LEAST_DISC)
+
+
 def test_a_card_of_a_bad_state_says_so(calibration):
     lost = replace(calibration, poses=np.full_like(calibration.poses, np.nan))
     html = lost._repr_html_()
