@@ -301,8 +301,8 @@ def test_pressures_and_forces_under_the_contact_model(small):
     found = calibrate_log(small.pressures(), small.kinematics(**unknown), known)
     check(small, found, 1.2)
     assert found.calibration.fit.good
-    # contacts scatter by 0.01 mm with the noise of the joint angles
-    assert 1.02 < found.calibration.fit.noise / known.noise_sigma < 1.1
+    # frames scatter by 0.01 mm with the noise of the joint angles, their means by less
+    assert 1.0 <= found.calibration.fit.noise / known.noise_sigma < 1.08
     value, sigma = found.calibration.unknowns["force_scale"]
     assert abs(value) < 4 * sigma
 
