@@ -136,7 +136,7 @@ def log_without_forces(world):
 @pytest.mark.parametrize("name", ["panda.urdf", "icub.urdf"])
 @pytest.mark.parametrize("beat", [0.5, 3.0, 10.0])
 def test_a_log_without_forces(name, beat):
-    world = standing(name, 1, beat=beat)
+    world = standing(name, 1, beat=beat, strokes=56)  # as many as all taxels of the iCub need
     log = log_without_forces(world)
     found = calibrated(world, log)
     assert found.calibration.verdict.level == "PASS"
