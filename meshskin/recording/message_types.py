@@ -14,6 +14,13 @@ POINT = ("x", "y", "z")
 ORIENTATION = ("x", "y", "z", "w")
 
 
+def words(name: str) -> set[str]:
+    """Words of the name of a topic or a column, in lower case: of l_elbow, of LShoulderPitch; the d
+    of arm_3d is none."""
+    name = re.sub(r"(?<=\d)[dD](?![A-Za-z])", "", name)
+    return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
+
+
 def _paths(prefix: str, names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{prefix}.{name}" for name in names)
 
@@ -90,7 +97,7 @@ def suggestions(topic: str, message_type: str, message: Any) -> list[StreamMap]:
             return _by_arrays(topic, message)  # another package has a type of the same name
         length = found if kind == TAXELS else None
         names = (NAME_PATHS[name],) if name in NAME_PATHS else ()
-        if kind == JOINTS and COMMANDED & set(re.findall("[a-z]+", topic.lower())):
+        if kind == JOINTS and COMMANDED & words(topic):
             return []
         return [StreamMap(topic, kind, paths, names, length, time=time)] if found else []
     return _by_arrays(topic, message)

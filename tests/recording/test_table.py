@@ -81,6 +81,7 @@ def test_joints_by_a_word_of_their_name(tmp_path):
         ("l_elbow l_shoulder_pitch torso_yaw", "l_elbow_vel elbow_torque index head_x"),
         ("shoulder_pan wrist_1 wrist_2 wrist_3", "wrist_force wrist_temperature target_q_0"),
         ("HeadYaw LShoulderPitch RElbowRoll", "LElbowCurrent"),
+        ("wrist_3d_1 wrist_3d_2", "elbow_d"),
     ],
 )
 @pytest.mark.parametrize("unit", ["{}", "{}_deg", "{} [deg]", "{} (rad)"])

@@ -119,8 +119,6 @@ def _result(optimum: Optimum) -> EstimatorResult:
         tangential, factors = _tangential(estimator, wide, fit, found, rivals)
         tangential = tangential + found.rejected(estimator, scale**0.5)
     modulus, modulus_sigma = _modulus(estimator, shared)
-    deviation, groups = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), np.arange(len(state.z))
-    own, own_sigma = (problem.nuisance(part, groups) for part in (state.z, deviation))
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, parametrization.points()), np.nan),
         rotations=spread(parametrization.rotations(), np.nan),
@@ -142,9 +140,7 @@ def _result(optimum: Optimum) -> EstimatorResult:
             *undetermined(parameters, information / unit, gains),
             *undetermined_motion(parameters, shared),
         ),
-        taxel_unknowns=parameters.of_taxels(
-            own, own_sigma, data.sigma, estimator.live, len(data.ids)
-        ),
+        taxel_unknowns=_taxel_unknowns(estimator, covariance),
         faults=estimator.faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
@@ -172,6 +168,16 @@ def _tangential(
         return tangential + model_dependence(estimator, fit), [SURFACE]
     added, words = found.covariances()
     return tangential + added, [SURFACE, *words]
+
+
+def _taxel_unknowns(estimator: JointEstimator, covariance: Array) -> dict[str, Array]:
+    """Nuisance parameters of all taxels with their standard deviations (., 2), by name; covariance
+    (G, D, D): of the groups."""
+    data, problem, z = estimator.data, estimator.problem, estimator.state.z
+    deviation, groups = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), np.arange(len(z))
+    values, sigma = (problem.nuisance(part, groups) for part in (z, deviation))
+    rows, count = estimator.live, len(data.ids)
+    return data.parameters.of_taxels(values, sigma, data.sigma, rows, count)
 
 
 def _modulus(estimator: JointEstimator, covariance: Array) -> tuple[float, float | None]:

@@ -13,7 +13,7 @@ import re
 from collections.abc import Sequence
 
 from ..log_map import TIME_UNITS, UNITS, StreamMap
-from ..message_types import COMMANDED, MIN_TAXELS
+from ..message_types import COMMANDED, MIN_TAXELS, words
 from ..recording import QUATERNION
 from ..stream import CONTACTS, JOINTS, TAXELS, WRENCH
 from .contact_columns import contact_columns, plain
@@ -97,22 +97,17 @@ def _wrench(names: Sequence[str]) -> list[str]:
     return [at[name] for name in (*FORCES, *(TORQUES if torques else ()))]
 
 
-def _words(name: str) -> set[str]:
-    """Words of a name, in lower case: of l_elbow, of LShoulderPitch."""
-    return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
-
-
 def _joint_group(columns: Sequence[str]) -> str:
     """The group `joints`, with the unit, of columns that have names of joints without a number;
     empty for others."""
     base, unit = split_unit(columns[0])
-    words = _words(base)
-    if unit not in ANGLES or words & (OTHER_NAMES | AXES):
+    found = words(base)
+    if unit not in ANGLES or found & (OTHER_NAMES | AXES):
         return ""
     if len(columns) == 1:
-        named = bool(words & (BODY_PARTS | JOINT_NAMES) or ANGLES[unit])
+        named = bool(found & (BODY_PARTS | JOINT_NAMES) or ANGLES[unit])
     else:
-        named = len(columns) < MIN_TAXELS and bool(words & BODY_PARTS)
+        named = len(columns) < MIN_TAXELS and bool(found & BODY_PARTS)
     if named:
         return f"{JOINTS}_{ANGLES[unit]}" if unit else JOINTS
     return ""
@@ -125,12 +120,12 @@ def suggest(topic: str, columns: Sequence[str]) -> list[StreamMap]:
     if contacts == list(columns):
         return [StreamMap(topic, CONTACTS, length=width, unit=unit)]
     base, unit = split_unit(name)
-    words = _words(base)
-    if words & {"wrench", "force", "ft"} and width in (3, 6):
+    found = words(base)
+    if found & {"wrench", "force", "ft"} and width in (3, 6):
         return [StreamMap(topic, WRENCH)] if unit in ("", "n") else []
-    if words & OTHER_NAMES:
+    if found & OTHER_NAMES:
         return []
-    if words & JOINT_NAMES or ANGLES.get(unit):
+    if found & JOINT_NAMES or ANGLES.get(unit):
         bases, units = zip(*map(split_unit, columns), strict=True)
         if not set(units) <= set(ANGLES):
             return []

@@ -100,7 +100,7 @@ class Samples:
         """
         every = message[name] if isinstance(message, dict) else getattr(message, name, ())
         labels = tuple(
-            part.get("name", "") if isinstance(part, dict) else getattr(part, "name", "")
+            str(part.get("name", "") if isinstance(part, dict) else getattr(part, "name", ""))
             for part in every
         )
         first = self._sensors.setdefault(name, labels)

@@ -239,11 +239,7 @@ def _batches(file: Path, columns: list[str], notes: list[str]) -> Iterator[pa.Re
         short.append(row.number if row.number is not None else -1)
         return "skip"
 
-    size = file.stat().st_size
-    with file.open("rb") as stream:
-        stream.seek(max(size - 1, 0))
-        whole = stream.read(1) in (b"\n", b"\r")
-    delimiter = _delimiter(file)
+    whole, delimiter = _ends_with_a_line(file), _delimiter(file)
     options = {
         "read_options": csv.ReadOptions(
             use_threads=False, column_names=_columns(file), skip_rows=1
@@ -278,6 +274,12 @@ def _batches(file: Path, columns: list[str], notes: list[str]) -> Iterator[pa.Re
     if not whole:
         notes.append(f"{file.name} does not end with a line: its last line is left out")
     yield held if whole or short else held.slice(0, len(held) - 1)
+
+
+def _ends_with_a_line(file: Path) -> bool:
+    with file.open("rb") as stream:
+        stream.seek(max(file.stat().st_size - 1, 0))
+        return stream.read(1) in (b"\n", b"\r")
 
 
 def _widest(field: pa.Field) -> tuple[str, pa.DataType]:
