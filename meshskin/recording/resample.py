@@ -60,46 +60,24 @@ def log_frames(log: Log, log_map: LogMap, robot: Robot | None = None) -> LogFram
     overlap([stream for stream, _ in pairs if stream.kind != CONTACTS])
     ids = _ids(skins)
     tared = {s.name: tare(s.times, s.values, m.polarity, s.name) for s, m in skins}
-    notes += [
-        f"{found.glitches} readings of {name} jump for one frame, farther than a contact: they are "
-        "left out"
-        for name, found in tared.items()
-        if found.glitches
-    ]
-    notes += [
-        f"the level of {stream.name} at rest jumps {found.jumps[0] - stream.times[0]:.0f} s after "
-        "its start and not back: a contact that was held to the end would look like this"
-        for stream, _ in skins
-        if len((found := tared[stream.name]).jumps)
-    ]
+    notes += [note for stream, _ in skins for note in _tare_notes(stream, tared[stream.name])]
     first, given = skins[0]
     offsets = estimates(first.times, tared[first.name], pairs) if given.delay is None else ()
     pairs, moved = one_clock(pairs, offsets)
     notes += moved
-    late, compared = given.delay or 0.0, True
-    if offsets and offsets[0].usable:
-        late = offsets[0].offset
-    elif given.delay is None and not all(_of_skin(s, m) for s, m in pairs):
-        compared = False
-        joints = any(stream.kind == JOINTS for _, stream in pairs)
-        then = (
-            "estimated with the taxels by a calibration with the URDF" if joints else "taken as 0"
-        )
-        notes.append(
-            f"the onsets of this log do not tell the clock offset of the skin: it is {then}; for "
-            "the onsets, press and retract along one path at five places, record a force, or give "
-            "delay_ms"
-        )
+    usable = bool(offsets) and offsets[0].usable
+    late = offsets[0].offset if usable else given.delay or 0.0
+    compared = usable or given.delay is not None or all(_of_skin(s, m) for s, m in pairs)
+    if not compared:
+        notes.append(_unknown_clock(pairs))
     pairs = with_skin_late(pairs, late)
     skins = [pair for pair in pairs if pair[1].kind == TAXELS]
     frames = first.times - late
     frames = frames[_kept(frames, pairs)]
     readings = np.empty((len(frames), len(ids)), dtype=np.float32)
-    column = 0
-    for s, m in skins:
-        part = readings[:, column : column + len(s.fields)]
+    ends = np.cumsum([len(s.fields) for s, _ in skins])
+    for (s, m), part in zip(skins, np.split(readings, ends[:-1], axis=1), strict=True):
         _interpolate(part, frames, s, m, tared[s.name])
-        column += len(s.fields)
     pressed = [tared[s.name].in_contact[nearest_rows(_on_clock(s, m), frames)] for s, m in skins]
     in_contact = np.any(pressed, axis=0)
     names, angles = _joints(frames, pairs)
@@ -111,11 +89,37 @@ def log_frames(log: Log, log_map: LogMap, robot: Robot | None = None) -> LogFram
     notes += said
     noise = np.concatenate([tared[s.name].noise * m.factor for s, m in skins])
     skin_log = SkinLog(
-        frames, names, angles, ids, readings, noise, in_contact, force,
-        late,
-        offsets[0].sigma if offsets and offsets[0].usable else None,
+        frames, names, angles, ids, readings, noise, in_contact, force, late,
+        offsets[0].sigma if usable else None,
     )  # fmt: skip
     return LogFrames(skin_log, tared, offsets, tuple(notes), compared)
+
+
+def _tare_notes(stream: Stream, found: Tared) -> list[str]:
+    """What the tare of a skin found, in words."""
+    notes = []
+    if found.glitches:
+        notes.append(
+            f"{found.glitches} readings of {stream.name} jump for one frame, farther than a "
+            "contact: they are left out"
+        )
+    if len(found.jumps):
+        start = found.jumps[0] - stream.times[0]
+        notes.append(
+            f"the level of {stream.name} at rest jumps {start:.0f} s after its start and not back: "
+            "a contact that was held to the end would look like this"
+        )
+    return notes
+
+
+def _unknown_clock(pairs: Pairs) -> str:
+    """How a log whose onsets do not tell the clock offset of the skin is read."""
+    joints = any(given.kind == JOINTS for _, given in pairs)
+    then = "estimated with the taxels by a calibration with the URDF" if joints else "taken as 0"
+    return (
+        f"the onsets of this log do not tell the clock offset of the skin: it is {then}; for the "
+        "onsets, press and retract along one path at five places, record a force, or give delay_ms"
+    )
 
 
 def with_skin_late(pairs: Pairs, late: float) -> Pairs:

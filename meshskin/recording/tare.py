@@ -8,6 +8,7 @@ to where none exceeds a lower threshold (hysteresis).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -92,10 +93,7 @@ def tare(
         values = _filled(values, missing)
     columns = [slice(k, min(k + COLUMNS, t)) for k in range(0, t, COLUMNS)]
     largest, span = np.concatenate([_ranges(values[:, part]) for part in columns], axis=1)
-    far = GLITCH * largest.max()
-    glitches = np.concatenate([_jumps(values[:, part], far) for part in columns], axis=1)
-    alone = np.convolve(glitches.any(axis=1), [1, 1, 1], "same") == 1
-    glitches &= alone[:, None]
+    glitches = _glitches(values, columns, GLITCH * largest.max())
     if glitches.any():
         missing |= glitches
         values = _filled(values, missing)
@@ -147,6 +145,15 @@ def tare(
         readings, noise, np.ptp(levels, axis=0), in_contact, falling, int(glitches.sum()),
         times[:0] if jumps is None else jumps,
     )  # fmt: skip
+
+
+def _glitches(
+    values: NDArray[np.number], columns: Sequence[slice], far: float
+) -> NDArray[np.bool_]:
+    """Readings (n, t) that jump by more than `far` for one frame, where no frame beside does."""
+    glitches = np.concatenate([_jumps(values[:, part], far) for part in columns], axis=1)
+    alone = np.convolve(glitches.any(axis=1), [1, 1, 1], "same") == 1
+    return np.asarray(glitches & alone[:, None])
 
 
 def _filled(values: NDArray[np.number], missing: NDArray[np.bool_]) -> NDArray[np.number]:
