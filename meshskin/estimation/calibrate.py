@@ -97,23 +97,8 @@ class Estimation:
         stage: Stage,
     ) -> tuple[Calibration, EstimatorResult]:
         """The calibration by a method, without a verdict, and the estimate that it is made of."""
-        check_name("method", method, tuple(METHODS))
-        check_real("tolerance of a calibration", tolerance, above=0.0)
-        iterations = check_integer("limit of iterations", iterations, least=1)
-        unknown_scale = 'readings="raw"' if self.belief.readings == RAW else self._out_of_range
-        if unknown_scale and method not in UNITLESS:
-            raise CalibrationError(
-                f"the method {method} needs pressures of a contact model", value=unknown_scale,
-                remedy=f"use one of {', '.join(UNITLESS)}",
-            )  # fmt: skip
+        limits = self._limits(method, tolerance, iterations)
         begin, data = time.perf_counter(), self.data
-        limits = {"tolerance": tolerance, "iterations": iterations} if method == "joint" else {}
-        usual = (tolerance, iterations) == (NEWTON_TOLERANCE, MAX_ITERATIONS)
-        if not usual and (data.learned or not limits):
-            raise ConfigError(
-                "tolerance and iterations are for the joint estimate under a contact model",
-                value=f"the method {method}" + " with a learned response" * data.learned,
-            )
         result = METHODS[method](self, stage, **limits)
         shape = observability.shape_operators(data.body, result.points, result.rotations)
         covariance = result.pose_covariances
@@ -152,6 +137,25 @@ class Estimation:
         total = self._seconds + time.perf_counter() - begin
         seconds |= {"other": total - sum(seconds.values()), "total": total}
         return replace(calibration, seconds=seconds), result
+
+    def _limits(self, method: str, tolerance: float, iterations: int) -> dict[str, float]:
+        """The limits that a method takes. Raises as `calibrate` for arguments that do not fit."""
+        check_name("method", method, tuple(METHODS))
+        check_real("tolerance of a calibration", tolerance, above=0.0)
+        iterations = check_integer("limit of iterations", iterations, least=1)
+        unknown_scale = 'readings="raw"' if self.belief.readings == RAW else self._out_of_range
+        if unknown_scale and method not in UNITLESS:
+            raise CalibrationError(
+                f"the method {method} needs pressures of a contact model", value=unknown_scale,
+                remedy=f"use one of {', '.join(UNITLESS)}",
+            )  # fmt: skip
+        usual = (tolerance, iterations) == (NEWTON_TOLERANCE, MAX_ITERATIONS)
+        if not usual and (self.data.learned or method != "joint"):
+            raise ConfigError(
+                "tolerance and iterations are for the joint estimate under a contact model",
+                value=f"the method {method}" + " with a learned response" * self.data.learned,
+            )
+        return {"tolerance": tolerance, "iterations": iterations} if method == "joint" else {}
 
     def _reasons(self, result: EstimatorResult, weak: np.ndarray) -> np.ndarray:
         """Why a taxel (n,) has no estimate; weak (n,): those too weakly determined."""
