@@ -15,11 +15,10 @@ from ..core.arrays import Array
 from ..core.blas import single_threaded
 from ..core.errors import CalibrationError, ConfigError, ContactError, warn_left_out
 from ..core.progress import Progress, Stage
-from ..core.provenance import digest, provenance
 from ..recording.recording import Recording
 from ..scene.belief import RAW, Belief
 from . import centroid, chart
-from .calibration import Calibration
+from .calibration import Calibration, provenance_of
 from .data.gather import gather, gather_or_learn
 from .data.measurements import Measurements
 from .data.patch_shape import MAX_EDGES
@@ -122,13 +121,7 @@ class Estimation:
             reasons=self._reasons(result, weak),
             contact_centroids=self._contact_centroids,
             belief=data.belief,
-            provenance=provenance(
-                method=method,
-                recording=digest(
-                    self.recording.points, self.recording.force, self.recording.pressure
-                ),
-                source=self.recording.metadata.get("provenance", {}),
-            ),
+            provenance=provenance_of(method, self.recording),
             disc_radius=data.belief.disc_radius,
             frame=getattr(data.belief.body, "frame", None),  # an exact surface has none
             **{**result.details, "undetermined": result.undetermined + unseen_motions(self._near)},
@@ -249,9 +242,7 @@ class Estimation:
 
     def eq15(self, stage: Stage) -> EstimatorResult:
         """The paper's trilateration as printed."""
-        fit = eq15.estimate(self.data)
-        trilaterate.require_any(fit)
-        return fit
+        return trilaterate.require_any(eq15.estimate(self.data))
 
     def centroid(self, stage: Stage) -> EstimatorResult:
         """The weighted mean of the contact points of each taxel: the baseline."""
@@ -270,8 +261,7 @@ class Estimation:
 
     @cached_property
     def _shared_contacts(self) -> SharedContacts:
-        trilaterate.require_any(self.least_squares)
-        return SharedContacts(self._circled, self.least_squares)
+        return SharedContacts(self._circled, trilaterate.require_any(self.least_squares))
 
     def _measured(self, stage: Stage, trilateration: Trilateration) -> Displacements:
         """The displacements by a trilateration of both taxels of each pair."""

@@ -16,6 +16,7 @@ from ..core.arrays import Array
 from ..core.errors import CalibrationError, ConfigError
 from ..core.notebook import Card, Tabular
 from ..core.progress import Progress
+from ..core.provenance import digest, provenance
 from ..core.value import Value
 from ..recording.recording import Recording
 from ..scene.belief import Belief
@@ -259,3 +260,12 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
             check_type(Skin, options["truth"], "the truth of a report")
         body = None if self.belief is None else self.belief.body
         return report(path, **{"body": body, "calibration": self, **options})
+
+
+def provenance_of(method: str, recording: Recording) -> dict[str, Any]:
+    """The provenance of a calibration of `recording` by `method`."""
+    return provenance(
+        method=method,
+        recording=digest(recording.points, recording.force, recording.pressure),
+        source=recording.metadata.get("provenance", {}),
+    )

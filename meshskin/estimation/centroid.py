@@ -68,5 +68,4 @@ def estimate(data: Measurements) -> EstimatorResult:
         reasons=reasons,
         factors=FACTORS,
     )
-    require_any(fit)
-    return fit
+    return require_any(fit)

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.provenance import digest, provenance
 from ..recording.recording import Recording
 from ..scene.belief import Belief
-from .calibration import Calibration
+from .calibration import Calibration, provenance_of
 from .uncertainty.verdict import FAIL, Verdict
 
 CIRCULAR = "contact points that were computed from the map that is sought"
@@ -44,11 +43,7 @@ def uncalibrated(recording: Recording, belief: Belief) -> Calibration:
         chi2=np.full(n, np.nan),
         reasons=np.where(touched, CIRCULAR, UNTOUCHED).astype(object),
         verdict=Verdict(FAIL, _reasons(recording, readings)),
-        provenance=provenance(
-            method="none",
-            recording=digest(recording.points, recording.force, recording.pressure),
-            source=recording.metadata.get("provenance", {}),
-        ),
+        provenance=provenance_of("none", recording),
     )
 
 

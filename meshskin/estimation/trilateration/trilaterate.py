@@ -143,10 +143,11 @@ def radical_centres(
     return replace(fit, reasons=reasons, points=points)
 
 
-def require_any(fit: EstimatorResult) -> None:
-    """Raise CalibrationError if no taxel is determined."""
+def require_any(fit: EstimatorResult) -> EstimatorResult:
+    """`fit`. Raises CalibrationError if it determines no taxel."""
     if not fit.found.any():
         raise undetermined(fit.reasons)
+    return fit
 
 
 def undetermined(reasons: np.ndarray) -> CalibrationError:
