@@ -89,8 +89,8 @@ def parallels(scene: Scene, heading: float, dt: float) -> Path:
     SimulationError if the surface is flat or concave at the skin's centre.
     """
     body, axis, exploration = scene.body, scene.axis, scene.exploration
-    centre = body.mesh.bounds.mean(axis=0)
-    size = float(np.linalg.norm(np.ptp(body.mesh.bounds, axis=0)))
+    centre = body.surface.bounds.mean(axis=0)
+    size = float(np.linalg.norm(np.ptp(body.surface.bounds, axis=0)))
     pole = body.closest((centre + size * axis)[None])
     radius = 1.0 / max(float(pole.curvature.mean()), 1e-6)
     if radius > size:

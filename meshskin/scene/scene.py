@@ -205,7 +205,7 @@ class Scene(Value, NamedFields, Card):
                 remedy="give mount=T_tip_body ([arm] mount_m in a scene file)",
             )
         rotation = orthonormal_basis(self.axis, perpendicular(self.axis)).T
-        back = -float((self.body.mesh.vertices @ self.axis).min())
+        back = -float((self.body.surface.vertices @ self.axis).min())
         return transform(rotation, [0.0, 0.0, back + ADAPTER])
 
     @property

@@ -196,9 +196,25 @@ def _arm_with_payload(scene: Scene) -> Arm:
     """
     if scene.payload == 0 or scene.loop.mode == "quasi_static":
         return scene.arm
-    mesh, pose = scene.body.mesh, scene.mount_pose
-    mesh = mesh if mesh.is_volume else mesh.convex_hull
-    density = scene.payload / mesh.volume
-    inertia = pose[:3, :3] @ (np.asarray(mesh.moment_inertia) * density) @ pose[:3, :3].T
-    com = pose[:3, :3] @ np.asarray(mesh.center_mass) + pose[:3, 3]
-    return scene.arm.with_payload(scene.payload, com, inertia)
+    surface, pose = scene.body.surface, scene.mount_pose
+    volume, centre, square = _moments(surface.vertices[surface.faces])
+    if not (surface.closed and volume > 0):
+        volume, centre, square = _moments(np.asarray(scene.body.mesh.convex_hull.triangles))
+    inertia = scene.payload / volume * (np.trace(square) * np.eye(3) - square)
+    com = pose[:3, :3] @ centre + pose[:3, 3]
+    return scene.arm.with_payload(scene.payload, com, pose[:3, :3] @ inertia @ pose[:3, :3].T)
+
+
+def _moments(triangles: Array) -> tuple[float, Array, Array]:
+    """Volume, m^3, centre (3,), m, and second moments (3, 3), m^5, about the centre of the solid
+    within triangles (m, 3, 3), by tetrahedra with the middle of the corners. trimesh's are the
+    same, and take 0.6 s to import.
+    """
+    middle = triangles.mean(axis=(0, 1))
+    corners = triangles - middle
+    size, total = np.linalg.det(corners), corners.sum(axis=1)  # six times the volumes
+    volume = float(size.sum()) / 6
+    centre = size @ total / (24 * volume)
+    square = np.einsum("m,mki,mkj->ij", size, corners, corners)
+    square += np.einsum("m,mi,mj->ij", size, total, total)
+    return volume, middle + centre, square / 120 - volume * np.outer(centre, centre)

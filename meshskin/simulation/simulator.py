@@ -301,7 +301,7 @@ class Simulator:
     def _check_flight(self, state: Array) -> None:
         """Raise PlaceError where a body without an arm is far from where it was."""
         poses = poses_of_states(np.stack([self.state, state]))
-        before, now = poses @ np.append(self.body.mesh.bounds.mean(axis=0), 1.0)
+        before, now = poses @ np.append(self.body.surface.bounds.mean(axis=0), 1.0)
         way, limit = float(np.linalg.norm(now - before)), MAX_FLIGHT * self.body.surface.scale
         if way > limit:
             raise PlaceError(

@@ -46,7 +46,7 @@ def penetration(loop: ClosedLoopModel, body: Body, poses: Array) -> tuple[Closes
     On an open surface the distance is unsigned: far from it, its sign has no meaning.
     """
     centres = loop.indenter_centres(poses)
-    if body.mesh.is_watertight:
+    if body.surface.closed:
         hit = body.closest(centres)
         return hit, loop.indenter_radius - hit.distance
     hit = body.surface.nearest(centres)

@@ -29,7 +29,7 @@ class DistanceGrid:
         size = surface.vertices.max(axis=0) + margin - self._low
         self._step = float(np.prod(size) / NODES) ** (1.0 / 3.0)
         self._shape = np.ceil(size / self._step).astype(int) + 1
-        self._closed = bool((surface.neighbours >= 0).all())
+        self._closed = surface.closed
         nodes = np.indices(self._shape if self._closed else (0, 0, 0)).reshape(3, -1).T
         self._values = surface.closest(self._low + self._step * nodes).distance
 

@@ -128,7 +128,6 @@ class TrialRunner:
             if body.mesh is self.base.body.mesh:  # without its caches, so that the fit is timed
                 body = replace(body, mesh=body.mesh.copy(include_cache=False))
             body.closest(self.base.skin.positions)
-            _ = body.mesh.moment_inertia  # of the payload
             return body
 
         if key not in self._bodies:
