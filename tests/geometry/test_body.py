@@ -92,7 +92,7 @@ def test_an_unknown_unit_is_refused(ball, tmp_path):
 
 def test_the_likely_unit_is_named(ball, tmp_path):
     ball.export(tmp_path / "ball.stl")
-    with pytest.raises(MeshError, match=r"200 m, .*likely millimetres: units='mm'"):
+    with pytest.raises(MeshError, match=r"200 m, .*likely millimetres: units='mm'.*radius_mm"):
         Body.load(tmp_path / "ball.stl", units="m")
     ball.apply_scale(1e-3)
     ball.export(tmp_path / "small.stl")
@@ -139,64 +139,6 @@ def test_a_faceless_or_missing_file_is_refused(tmp_path):
 def test_a_path_of_another_type_is_refused(path):
     with pytest.raises(MeshError, match="a mesh file must be a path, got"):
         Body.load(path, units="mm")
-
-
-def write_off(path, vertices, faces):
-    lines = ["OFF", f"{len(vertices)} {len(faces)} 0"]
-    lines += [" ".join(str(x) for x in v) for v in vertices]
-    lines += ["3 " + " ".join(str(i) for i in f) for f in faces]
-    path.write_text("\n".join(lines) + "\n")
-
-
-def test_a_vertex_that_is_not_finite_is_refused_if_used(ball, tmp_path):
-    vertices = ball.vertices.copy()
-    vertices[5, 1] = np.nan
-    write_off(tmp_path / "nan.off", vertices, ball.faces)
-    with pytest.raises(MeshError, match="not finite"):
-        Body.load(tmp_path / "nan.off", units="mm")
-
-
-def test_an_unused_vertex_is_dropped_even_if_not_finite(ball, tmp_path):
-    vertices = np.vstack([ball.vertices, [np.nan, 0.0, 0.0]])
-    write_off(tmp_path / "extra.off", vertices, ball.faces)
-    body = Body.load(tmp_path / "extra.off", units="mm")
-    assert body.repairs == ("1 unreferenced vertices dropped",)
-    assert body.project([[0.0, 0.0, 1.0]], [[0.0, 0.0, -1.0]]).face[0] >= 0
-
-
-def test_duplicate_vertices_are_merged_and_listed(ball, tmp_path):
-    ball.export(tmp_path / "ball.stl")  # STL writes every corner of every face
-    body = Body.load(tmp_path / "ball.stl", units="mm")
-    assert len(body.mesh.vertices) == len(ball.vertices)
-    assert body.repairs == (
-        f"{3 * len(ball.faces) - len(ball.vertices)} duplicate vertices merged",
-    )
-
-
-def test_an_inverted_mesh_is_turned_and_listed(ball, tmp_path):
-    write_off(tmp_path / "in.off", ball.vertices, ball.faces[:, ::-1])
-    body = Body.load(tmp_path / "in.off", units="mm")
-    assert body.repairs == ("orientation inverted: normals pointed inward",)
-    assert body.closest([[0.0, 0.0, 0.0]]).distance[0] < 0
-
-
-def test_flipped_faces_are_turned_and_listed(ball, tmp_path):
-    faces = ball.faces.copy()
-    faces[::10] = faces[::10, ::-1]
-    write_off(tmp_path / "flip.off", ball.vertices, faces)
-    body = Body.load(tmp_path / "flip.off", units="mm")
-    assert body.repairs == (f"{len(faces[::10])} faces wound like the others",)
-    assert body.mesh.volume > 0
-    hit = body.closest(0.11 * ball.vertices / 100.0)
-    np.testing.assert_allclose(hit.distance, 0.01, atol=1e-5)
-
-
-def test_a_hole_is_refused_unless_open(ball, tmp_path):
-    write_off(tmp_path / "hole.off", ball.vertices, ball.faces[1:])
-    with pytest.raises(MeshError, match="not watertight: 3 border edges, 1 hole"):
-        Body.load(tmp_path / "hole.off", units="mm")
-    body = Body.load(tmp_path / "hole.off", units="mm", open=True)
-    assert len(body.mesh.faces) == len(ball.faces) - 1
 
 
 @pytest.mark.parametrize(
@@ -292,16 +234,6 @@ def test_a_ray_that_misses_says_so():
     assert np.isnan(hit.point[1]).all()
     with pytest.raises(MeshError, match="ray"):
         Body.sphere().project([[0, 0, 1.0]], [[0, 0, 0.0]])
-
-
-def test_a_body_far_from_its_origin_is_as_exact(tmp_path):
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
-    shift = np.array([3.0, -2.0, 1.0])
-    write_off(tmp_path / "far.off", (ball.vertices + shift).tolist(), ball.faces)
-    body = Body.load(tmp_path / "far.off", units="m")
-    hit = body.closest([shift + np.array([0.02, 0.05, 0.1])])
-    exact = np.linalg.norm([0.02, 0.05, 0.1]) - 0.1
-    np.testing.assert_allclose(hit.distance, exact, atol=0.1e-6)
 
 
 @needs_ur3e

@@ -101,6 +101,8 @@ def test_a_local_minimum_is_not_certified_and_certify_leaves_it():
     freed = graph.solve("chordal", start, certify=True)
     assert freed.certificate.certified
     assert freed.cost < 1e-3 * stuck.cost
+    bound = stuck.certificate.cost - stuck.certificate.gap
+    assert bound <= freed.certificate.cost * (1 + 1e-9)
 
 
 def test_a_relaxation_that_is_not_tight_is_not_certified():
@@ -165,27 +167,6 @@ def test_position_only_edges(start):
     assert 1.5 < whitened(solution, truth) < 14.0  # one sample: the poses are correlated
 
 
-def test_position_only_edges_leave_a_rotation_undetermined():
-    """The last pose is measured from three others, and measures none: its rotation is free."""
-    graph, truth = skin(30)
-    steps = se3.inverse(truth[:3]) @ truth[9]
-    poses = np.concatenate([graph.poses, truth[9:10]])
-    information = np.concatenate([graph.information, [np.diag([1e8, 1e8, 1e8, 0, 0, 0])] * 3])
-    hanging = PoseGraph(
-        poses,
-        np.concatenate([graph.edges, [[k, 30] for k in range(3)]]),
-        np.concatenate([graph.measurements, steps]),
-        information,
-        np.arange(100, 131),
-    )
-    solution = hanging.solve()
-    assert solution.undetermined == ((130, "rx"), (130, "ry"), (130, "rz"))
-    covariance = solution.covariances()[30]
-    assert np.isinf(np.diagonal(covariance)[3:]).all()
-    assert np.isfinite(covariance[:3, :3]).all()
-    assert error(solution, poses).max() < 1e-3
-
-
 def test_information_of_condition_1e12():
     graph, truth = skin(30)
     rng = np.random.default_rng(3)
@@ -231,26 +212,6 @@ def test_iteration_limit_of_1():
     assert "allow more iterations" in solution.status
     assert graph.solve(start=start).is_optimal
     assert graph.solve(start="origin", limit=1, robust="gnc").iterations == 1
-    with pytest.raises(GraphError, match="at least 1"):
-        graph.solve(limit=0)
-
-
-def test_nan_is_refused_with_its_row():
-    graph, _ = skin(30)
-    parts = {
-        "poses": graph.poses,
-        "measurements": graph.measurements,
-        "information": graph.information,
-    }
-    for name, array in parts.items():
-        bad = np.array(array)
-        bad[3, 1, 1] = np.nan
-        with pytest.raises(GraphError, match=rf"{name} must be finite, got (row|edge) 3"):
-            PoseGraph(**{**parts, "edges": graph.edges, name: bad})
-    start = graph.poses.copy()
-    start[4, 0, 3] = np.nan
-    with pytest.raises(GraphError, match="start poses must be finite, got row 4"):
-        graph.solve(start=start)
 
 
 @pytest.mark.parametrize("spread", [1e3, 1e8, 1e14])

@@ -63,6 +63,7 @@ def test_undetermined_degree_of_freedom_has_infinite_variance(skin_graph):
     solution = hanging.solve()
     covariances = solution.covariances()
     assert solution.is_optimal
+    assert solution.undetermined == ((10, "rz"),)
     assert np.isinf(covariances[10, 5, 5])
     assert np.isfinite(np.delete(np.diagonal(covariances[10]), 5)).all()
     assert np.isfinite(covariances[:10]).all()
