@@ -489,3 +489,9 @@ def test_columns_with_brackets_in_a_map_file(tmp_path):
     (tmp_path / "map.toml").write_text(LogMap((given,)).to_toml())
     (stream,) = read_log(path, LogMap.load(tmp_path / "map.toml")).streams
     assert (stream.fields, stream.unit) == (("Elbow",), "deg")
+
+
+def test_forces_are_no_joints(tmp_path):
+    given = StreamMap("wrench", "joints", ("f?",))
+    with pytest.raises(RecordingError, match=r"no joints, got fx, fy, fz; write kind = .wrench.*"):
+        read_log(csv(tmp_path / "log.csv"), LogMap((given,)))

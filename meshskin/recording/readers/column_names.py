@@ -67,7 +67,7 @@ def groups(names: Sequence[str]) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     if contacts := contact_columns(names)[0]:
         found[CONTACTS] = contacts
-    if wrench := _wrench([name for name in names if name not in contacts]):
+    if wrench := wrench_columns([name for name in names if name not in contacts]):
         found[WRENCH] = wrench
     known = {*found, *(name for columns in found.values() for name in columns)}
     numbered: dict[str, list[str]] = {}
@@ -89,7 +89,7 @@ def _base(name: str) -> tuple[str, str]:
     return base, name.strip()[len(base) :]
 
 
-def _wrench(names: Sequence[str]) -> list[str]:
+def wrench_columns(names: Sequence[str]) -> list[str]:
     """The columns of forces in N and of their torques; none where a direction is missing. Of
     several wrenches, those of the first."""
     every: dict[str, dict[str, str]] = {}

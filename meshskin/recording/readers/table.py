@@ -24,7 +24,7 @@ from ..log_map import TIME_UNITS, StreamMap
 from ..stream import CONTACTS, JOINTS, TAXELS, Log, Stream, contact_fields
 from . import csv_file, parquet_file
 from .column_names import groups as groups_of
-from .column_names import is_time, split_unit, suggest
+from .column_names import is_time, split_unit, suggest, wrench_columns
 from .csv_file import CsvFile
 from .parquet_file import ParquetFile
 
@@ -218,6 +218,11 @@ def _check_once(file: CsvFile | ParquetFile, columns: list[str]) -> None:
 def _stream(given: StreamMap, path: Path, columns: list[str], notes: list[str]) -> Stream:
     """The stream of some columns of a file."""
     topic, file = given.topic, _opened(path)
+    if given.kind == JOINTS and (forces := wrench_columns(columns)):
+        raise RecordingError(
+            f"{topic} has columns of forces, which are no joints", value=", ".join(forces),
+            remedy='write kind = "wrench" in the map, or correct values',
+        )  # fmt: skip
     stamps = _time_columns(file, given.time)
     _check_once(file, [*stamps, *columns])
     parts, unit, row = list[Array](), given.time_unit, 0
