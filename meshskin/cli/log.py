@@ -4,6 +4,7 @@ FILE is a ROS 1 bag, a ROS 2 bag (SQLite or MCAP, file or folder), a folder of t
 or a CSV or Parquet file or a folder of them. --write-map writes a first map, to be edited: which
 topic holds joint states, taxels, forces, poses or contacts. With --map the log is read by it: times
 are compared, taxels tared, contacts found, and the clock of the skin compared with the robot's.
+With --urdf its joints are compared with the robot's, whose links with meshes are named.
 """
 
 from __future__ import annotations
@@ -13,10 +14,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .options import refuse
+
 if TYPE_CHECKING:
     from ..recording.log_map import LogMap, StreamMap
     from ..recording.resample import LogFrames
     from ..recording.stream import Log, Stream
+    from ..robot.robot import Robot
 
 SHOWN_GAPS = 3
 """Gaps of a stream that are listed."""
@@ -39,6 +43,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     add_scan(parser)
     parser.add_argument(
+        "--urdf", type=Path, metavar="FILE", help="robot of the log, with whose joints those of "
+        "the log are compared",
+    )  # fmt: skip
+    parser.add_argument("--link", help="link with the skin, whose joints and mesh are checked")
+    parser.add_argument(
+        "--folder", type=Path, action="append", metavar="DIR", help="folder that is searched for "
+        "the meshes of the URDF file; may be repeated",
+    )  # fmt: skip
+    parser.add_argument(
         "--out", type=Path, metavar="RECORDING", help="write contacts and readings as a recording; "
         "the map must name contact points and forces",
     )  # fmt: skip
@@ -58,7 +71,10 @@ def command(options: argparse.Namespace) -> int:
     from ..core.errors import ConfigError
     from ..recording.log_map import LogMap
     from ..recording.readers import read_and_suggest
+    from ..robot.robot import Robot
 
+    if options.urdf is None:
+        refuse(options, ("link", "folder"), "{} is for a URDF file", "give --urdf, too")
     if options.map is not None and options.write_map is not None:
         raise ConfigError("--map and --write-map are given together", remedy="remove one")
     if options.out is not None and options.map is None:
@@ -66,14 +82,18 @@ def command(options: argparse.Namespace) -> int:
     log_map = None if options.map is None else LogMap.load(options.map)
     if options.write_map is not None:
         check_writable(options.write_map)
+    robot = None if options.urdf is None else Robot.from_urdf(options.urdf, options.folder)
+    about = [] if robot is None else robot_lines(robot, options.link)
     log, could = read_and_suggest(
         options.log, log_map, messages=options.messages, progress=True, scan=options.scan
     )
     if log_map is not None:
-        _convert(log, log_map, options.out)
+        _convert(log, log_map, options.out, robot, about)
         return 0
-    for line in listing(log, could):
+    for line in (*listing(log, could), *about):
         print(line)
+    if robot is not None:
+        _compare_joints(options, could, robot)
     if options.write_map is not None:
         write_text(options.write_map, first_map(could, options.messages).to_toml())
         print(f"map: {options.write_map}")
@@ -83,14 +103,58 @@ def command(options: argparse.Namespace) -> int:
     return 0
 
 
-def _convert(log: Log, log_map: LogMap, out: Path | None) -> None:
+def robot_lines(robot: Robot, link: str | None) -> list[str]:
+    """The lines about a robot: its joints, its links with meshes, and the joints that move `link`.
+
+    Raises UnknownNameError for a link that it does not have, MeshError for one without a mesh.
+    """
+    from ..geometry.mesh import link_mesh
+
+    meshed = [e.get("name", "") for e in robot.tree.root.findall("link") if e.find("visual//mesh")
+              is not None]  # fmt: skip
+    lines = [
+        f"  robot {robot.name}: joints {', '.join(robot.joint_names) or '-'}",
+        f"  robot {robot.name}: links with meshes {', '.join(meshed) or '-'}",
+    ]
+    if link is not None:
+        names = robot.chain(robot.root, link).joint_names
+        link_mesh.in_tree(robot.tree.root, robot.path, link, robot.folders, "visual")
+        lines.append(f"  {link} is moved by {', '.join(names) or 'no joint'}")
+    return lines
+
+
+def _compare_joints(
+    options: argparse.Namespace, could: dict[str, list[StreamMap]], robot: Robot
+) -> None:
+    """Print the joints of the streams that could be joints beside those of the robot."""
+    from ..recording.joint_check import check_joints
+    from ..recording.log_map import LogMap
+    from ..recording.readers import read_log
+    from ..recording.stream import JOINTS
+
+    maps = [found[0] for found in could.values() if found and found[0].kind == JOINTS]
+    if not maps:
+        print("  no stream of the log could be joints")
+        return
+    messages = tuple(options.messages)
+    log = read_log(options.log, LogMap(tuple(maps), messages), progress=True, scan=options.scan)
+    for line in check_joints(list(zip(log.streams, maps, strict=True)), robot):
+        print(f"  {line}")
+
+
+def _convert(
+    log: Log, log_map: LogMap, out: Path | None, robot: Robot | None, about: list[str]
+) -> None:
     """Bring the log to one clock, say what was found, and write a recording where asked for."""
     from ..recording.from_log import recording_from_log
-    from ..recording.resample import log_frames
+    from ..recording.joint_check import check_joints
+    from ..recording.resample import log_frames, paired
 
-    frames = log_frames(log, log_map)
+    if robot is not None:
+        about += [f"  {line}" for line in check_joints(paired(log, log_map), robot)]
+    frames = log_frames(log, log_map, robot)
     recording = None if out is None else recording_from_log(log, log_map, frames)
-    for line in (*listing(log, {}), *summary(frames, log)):
+    for line in (*listing(log, {}), *about, *summary(frames, log)):
         print(line)
     if recording is not None and out is not None:
         recording.save(out)

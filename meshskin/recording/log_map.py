@@ -15,6 +15,7 @@ Keys are those of `StreamMap`; quantities end in their unit (delay_ms).
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -215,9 +216,8 @@ def _stream(entry: Any, number: int) -> StreamMap:
     if isinstance(entry, Mapping) and "topic" in entry:
         where = f"stream {entry['topic']}"
     stream = from_table(StreamMap, entry, where)
-    paths = [path for path in stream.values if not any(c in path for c in "*?")]
-    if "." in "".join(paths) or "[" in "".join(paths):
-        for path in paths:
+    for path in stream.values:
+        if re.fullmatch(r"[\w.\[\]]+", path):  # others may be columns, such as q 1 [deg]
             field_path.parse(path)
     return stream
 

@@ -1,5 +1,7 @@
 """`meshskin log` as a user meets it."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -135,3 +137,53 @@ def test_a_file_torn_before_its_first_message_is_one_line(bag, tmp_path, capsys)
     assert "has no readable message: torn.mcap is torn in the record from byte" in line
     assert "are read" not in line
     assert line.rstrip().endswith("copy the file again, or record it again")
+
+
+URDF = """<robot name="arm"><link name="base"/><link name="tip"><visual><geometry>
+<mesh filename="tip.stl"/></geometry></visual></link><link name="a"/><link name="b"/>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="a"/>
+<axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+<joint name="ELBOW" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/></joint>
+<joint name="wrist" type="revolute"><parent link="b"/><child link="tip"/>
+<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="1" velocity="1"/></joint></robot>"""
+
+OTHER = URDF.replace('"wrist"', '"x"').replace("shoulder", "y")
+NARROW = URDF.replace("-2", "-.01").replace('"2"', '".01"')
+
+
+@pytest.mark.parametrize("mapped", [False, True])
+def test_joints_and_links_of_a_robot_are_compared(bag, tmp_path, capsys, mapped):
+    urdf, path = tmp_path / "arm.urdf", tmp_path / "map.toml"
+    urdf.write_text(URDF.replace("ELBOW", "elbows"))
+    assert cli.main(["log", str(bag), "--write-map", str(path)]) == 0
+    options = ["--map", str(path)] if mapped else []
+    capsys.readouterr()
+    assert cli.main(["log", str(bag), "--urdf", str(urdf), *options]) == 0
+    out = capsys.readouterr().out
+    for words in (
+        "robot arm: joints shoulder, elbows, wrist", "links with meshes tip",
+        "/joint_states: 2 of 3 joints are in arm.urdf",
+        "joint elbow of /joint_states is not in arm.urdf (did you mean elbows?)",
+        "joints of arm.urdf that the log lacks: elbows",
+    ):  # fmt: skip
+        assert words in out
+
+
+@pytest.mark.parametrize(
+    ("urdf", "options", "words"),
+    [
+        (OTHER, [], "unknown joint 'shoulder' of"),
+        (URDF, ["--link", "tool"], "unknown link 'tool'"),
+        (URDF, ["--link", "base"], "no visual mesh of link 'base'"),
+        (NARROW, [], "cannot be in rad, got .*unit = .deg"),
+        (None, ["--link", "tip"], "--link is for a URDF file.*give --urdf"),
+    ],
+)  # fmt: skip
+def test_a_robot_of_another_log_is_one_line(bag, tmp_path, capsys, urdf, options, words):
+    if urdf is not None:
+        (tmp_path / "arm.urdf").write_text(urdf)
+        options = [*options, "--urdf", str(tmp_path / "arm.urdf")]
+    assert cli.main(["log", str(bag), *options]) == 2
+    error = capsys.readouterr().err.strip()
+    assert re.search(words, error)
+    assert "\n" not in error

@@ -421,6 +421,82 @@ def test_joints_of_two_publishers_are_sorted_by_name(tmp_path):
     np.testing.assert_array_equal(stream.values, [[1, 2, nan], [nan, nan, 3], [4, 5, nan]])
 
 
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+def states(path, *rows):
+    """Joint states of these names and positions."""
+
+    def make(names, values):
+        return lambda s: s.types[JOINT_STATE](
+            header=robot_log.header(s, 1.0), name=names, position=np.array(values, float),
+            velocity=np.ones(2), effort=np.empty(0),
+        )  # fmt: skip
+
+    every = [(k / 10, make(*row)) for k, row in enumerate(rows)]
+    robot_log.write_types(path, "/joint_states", JOINT_STATE, {}, every)
+
+
+def test_states_without_positions_are_left_out(tmp_path):
+    """Controllers may publish velocities alone, and first."""
+    path = tmp_path / "log.mcap"
+    states(path, (["a", "b"], []), (["a", "b"], [1, 2]), (["a", "b"], []))
+    (guess,) = read_and_suggest(path)[1]["/joint_states"]
+    log = read_log(path, LogMap((guess,)))
+    np.testing.assert_array_equal(log.streams[0].values, [[1, 2]])
+    assert log.notes == ("2 messages of /joint_states hold no joints: they are left out",)
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "words"),
+    [
+        (["a", "b"], [1], "message 1 .*got 2 names, 2 of them different, limit: 1 .*; remove the"),
+        (["a", ""], [1, 2], "message 1 .*got 2 names, 1 of them different, limit: 2 positions"),
+    ],
+)
+def test_joints_without_a_position_or_a_name(tmp_path, names, values, words):
+    states(tmp_path / "log.mcap", (["a", "b"], [1, 2]), (names, values))
+    with pytest.raises(RecordingError, match=words):
+        read_log(tmp_path / "log.mcap", LogMap((StreamMap("/joint_states", "joints"),)))
+
+
+def test_a_wrench_is_no_joint(bags):
+    force = StreamMap("/wrench", "joints", ("wrench.force.x",))
+    with pytest.raises(RecordingError, match=r"wrong type for joints.*; write kind = .wrench"):
+        read_log(bags / "ros1.bag", LogMap((force,)))
+
+
+def test_a_part_of_every_message_is_the_remedy(tmp_path):
+    path = tmp_path / "log.mcap"
+    robot_log.write_mcap(path, {"/skin": (np.arange(4) / 10, [[1, 2], [3, 4, 5], [6, 7], [8, 9]])})
+    with pytest.raises(RecordingError, match=r"got 3 values, limit: 2 .* such as data\[:2\], and"):
+        read_log(path, LogMap((StreamMap("/skin", "taxels", length=2),)))
+    (stream,) = read_log(path, LogMap((StreamMap("/skin", "taxels", ("data[:2]",)),))).streams
+    np.testing.assert_array_equal(stream.values, [[1, 2], [3, 4], [6, 7], [8, 9]])
+
+
+def test_messages_compressed_one_by_one(bags, tmp_path):
+    """As `ros2 bag record --compression-mode message` writes them; metadata.yaml may be lost."""
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode
+
+    streams = {"/skin": (np.arange(9) / 10, np.arange(36.0).reshape(9, 4))}
+    store = robot_log.get_typestore(robot_log.Stores.ROS2_HUMBLE)
+    for mode in (CompressionMode.MESSAGE, CompressionMode.FILE):
+        writer = robot_log.Writer2(tmp_path / mode.name, version=9)
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+        with writer:
+            for time, topic, kind, message in robot_log.messages(store, streams):
+                if not writer.connections:
+                    known = writer.add_connection(topic, kind, typestore=store)
+                writer.write(known, time, store.serialize_cdr(message, kind))
+        (tmp_path / mode.name / "metadata.yaml").unlink()
+    given = LogMap((StreamMap("/skin", "taxels"),))
+    (stream,) = read_log(tmp_path / "MESSAGE", given).streams
+    np.testing.assert_array_equal(stream.values, streams["/skin"][1])
+    with pytest.raises(RecordingError, match=r"compressed files and no metadata.*zstd -d"):
+        read_log(tmp_path / "FILE", given)
+
+
 def test_poses_of_one_frame_among_transforms(tmp_path):
     kind = "tf2_msgs/msg/TFMessage"
     definitions = {kind: "geometry_msgs/TransformStamped[] transforms"}

@@ -118,6 +118,35 @@ def test_the_nearest_port_is_named_beside_ports_that_are_there(dump):
         read_log(dump[0], LogMap(streams))
 
 
+def test_ports_of_text_are_left_out_of_the_list(dump):
+    port(dump[0] / "said", "/speech:o", ['"hello" [ok]'] * 40)
+    log, _ = read_and_suggest(dump[0])
+    assert len(log.streams) == 3
+    assert "/speech:o is not listed: line 1 of said" in log.notes[0]
+    with pytest.raises(RecordingError, match=r"line 1 of said/data.log .*read a port of vectors"):
+        read_log(dump[0], LogMap((StreamMap("/speech:o", "taxels"),)))
+
+
+def test_numbers_in_nested_lists_and_lines_without_any(dump):
+    """State and force ports of YARP 3."""
+    rows = dump[1]["arm"]
+    states = ["({}) 5 ({}) 5".format(*[" ".join(map(str, row))] * 2) for row in rows]
+    port(dump[0] / "state", "/icub/left_arm/stateExt:o", states)
+    forces = [f"() () ((({k} 1 2 3 4 5) 9.5)) ()" if k else "" for k in range(40)]
+    port(dump[0] / "ft", "/icub/left_arm/FT", forces)
+    port(dump[0] / "none", "/icub/left_leg/state:o", [""] * 40)
+    could = read_and_suggest(dump[0])[1]
+    assert could["/icub/left_leg/state:o"] == []
+    maps = [could[name][0] for name in ("/icub/left_arm/stateExt:o", "/icub/left_arm/FT")]
+    log = read_log(dump[0], LogMap(tuple(maps)))
+    joints, wrench = log.streams
+    np.testing.assert_array_equal(joints.values, rows)
+    assert (joints.fields[3], joints.unit) == ("l_elbow", "deg")
+    np.testing.assert_array_equal(wrench.values[:, 0], np.arange(1, 40))
+    np.testing.assert_array_equal(wrench.times, TIMES[1:])
+    assert log.notes == ("1 lines of /icub/left_arm/FT are empty: they are left out",)
+
+
 @needs_recording
 def test_the_contacts_of_a_real_recording():
     """Counts by an independent reading of the text: one `((` or `) (` + four integers a contact."""

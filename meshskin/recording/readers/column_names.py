@@ -10,7 +10,7 @@ q_*_deg. Columns of contact points, normals and forces are the stream `contacts`
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ..log_map import TIME_UNITS, UNITS, StreamMap
 from ..message_types import COMMANDED, MIN_TAXELS, words
@@ -35,8 +35,11 @@ AXES = {"x", "y", "z", "w", *QUATERNION, "fx", "fy", "fz", "force", "pressure"}
 ANGLES = {"": "", "rad": "rad", "radian": "rad", "radians": "rad", "deg": "deg", "degree": "deg",
           "degrees": "deg", "\N{DEGREE SIGN}": "deg"}  # fmt: skip
 """Units of the names of columns of angles, with those of the map."""
-FORCES, TORQUES = ("fx", "fy", "fz"), ("tx", "ty", "tz")
+FORCES, TORQUES = ("fx", "fy", "fz"), (("tx", "ty", "tz"), ("mx", "my", "mz"))
 """Names of the columns of a wrench, before their unit."""
+ANGLE_FIELDS = {"position", "pos", "angle", "q"}
+"""Ends of the paths of joint angles, after the name of the joint."""
+_WRENCH = re.compile(r"(?P<start>.*[/.])?(?P<kind>force|torque)[/._](?P<axis>[xyz])")
 _UNIT = re.compile(r"(?P<base>.+?)_(?P<unit>[^\W\d_]+|\N{DEGREE SIGN})")
 _KNOWN = {*TIME_UNITS, *ANGLES, *(unit.lower() for units in UNITS.values() for unit in units), "nm"}
 """Units that the end of a name is taken for, in lower case."""
@@ -64,12 +67,12 @@ def groups(names: Sequence[str]) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     if contacts := contact_columns(names)[0]:
         found[CONTACTS] = contacts
-    if wrench := _wrench([name for name in names if name not in contacts]):
+    if wrench := wrench_columns([name for name in names if name not in contacts]):
         found[WRENCH] = wrench
     known = {*found, *(name for columns in found.values() for name in columns)}
     numbered: dict[str, list[str]] = {}
     for name in names:
-        if name not in known and not is_time(name):
+        if name and name not in known and not is_time(name):
             base, end = _base(name)
             numbered.setdefault(re.sub(r"\d+(?=\]?$)", "*", base) + end, []).append(name)
     for group, columns in numbered.items():
@@ -86,15 +89,26 @@ def _base(name: str) -> tuple[str, str]:
     return base, name.strip()[len(base) :]
 
 
-def _wrench(names: Sequence[str]) -> list[str]:
-    """The columns of forces in N and of their torques; none where a direction is missing."""
-    at = {split_unit(name)[0].lower(): name for name in reversed(names)}
-    units = {split_unit(at[name])[1] for name in FORCES if name in at}
-    if not set(FORCES) <= set(at) or units - {"", "n"}:
-        return []
-    # beside a quaternion these are the translation of a pose
-    torques = set(TORQUES) <= set(at) and not set(QUATERNION) <= set(names)
-    return [at[name] for name in (*FORCES, *(TORQUES if torques else ()))]
+def wrench_columns(names: Sequence[str]) -> list[str]:
+    """The columns of forces in N and of their torques; none where a direction is missing. Of
+    several wrenches, those of the first."""
+    every: dict[str, dict[str, str]] = {}
+    for name in names:
+        base = split_unit(name)[0].lower()
+        if match := _WRENCH.fullmatch(base):
+            short = f"{match['kind'][0]}{match['axis']}"
+            every.setdefault(match["start"] or "/", {}).setdefault(short, name)
+        else:
+            every.setdefault("", {}).setdefault(base, name)
+    for at in every.values():
+        units = {split_unit(at[name])[1] for name in FORCES if name in at}
+        if not set(FORCES) <= set(at) or units - {"", "n"}:
+            continue
+        # beside a quaternion these are the translation of a pose
+        beside = set(QUATERNION) <= set(names)
+        torques = next((one for one in TORQUES if set(one) <= set(at) and not beside), ())
+        return [at[name] for name in (*FORCES, *torques)]
+    return []
 
 
 def _joint_group(columns: Sequence[str]) -> str:
@@ -113,30 +127,46 @@ def _joint_group(columns: Sequence[str]) -> str:
     return ""
 
 
-def suggest(topic: str, columns: Sequence[str]) -> list[StreamMap]:
-    """What a group of columns could be, by its name and size."""
+def suggest(
+    topic: str, columns: Sequence[str], texts: Mapping[str, str] | None = None
+) -> list[StreamMap]:
+    """What a group of columns could be, by its name and size. texts: the first ones of columns of
+    text by their names, of which `name0` holds the name of the joint of `position0`."""
     name, width = topic.rpartition("/")[2], len(columns)
     contacts, unit = contact_columns(columns)
     if contacts == list(columns):
         return [StreamMap(topic, CONTACTS, length=width, unit=unit)]
     base, unit = split_unit(name)
     found = words(base)
-    if found & {"wrench", "force", "ft"} and width in (3, 6):
+    if found & {"wrench", "force", "ft", "f"} and width in (3, 6):
         return [StreamMap(topic, WRENCH)] if unit in ("", "n") else []
     if found & OTHER_NAMES:
         return []
     if found & JOINT_NAMES or ANGLES.get(unit):
-        bases, units = zip(*map(split_unit, columns), strict=True)
+        units = [split_unit(column)[1] for column in columns]
         if not set(units) <= set(ANGLES):
             return []
         alone = name.partition("_")[0] == JOINTS and "*" not in name
+        names = _joint_names(columns, texts or {})
         return [
             StreamMap(
                 topic, JOINTS, tuple(columns) if alone or width < 2 else (),
-                bases if any(units) else (), unit=ANGLES[units[0]],
+                names if names != tuple(columns) else (), unit=ANGLES[units[0]],
             )
         ]  # fmt: skip
     if width < MIN_TAXELS:
         return []
     given = {name.lower(): name for name in UNITS[TAXELS]}.get(unit, "")
     return [StreamMap(topic, TAXELS, length=width, unit=given)]
+
+
+def _joint_names(columns: Sequence[str], texts: Mapping[str, str]) -> tuple[str, ...]:
+    """The joints of columns of angles: by texts, or by their own names without unit and field."""
+    given = [texts.get(column.replace("position", "name"), "") for column in columns]
+    if all(given):
+        return tuple(given)
+    bases = [split_unit(column)[0] for column in columns]
+    paths = [re.split("[/.]", base) for base in bases]
+    if all(len(path) > 1 and path[-1].lower() in ANGLE_FIELDS for path in paths):
+        return tuple(path[-2] for path in paths)
+    return tuple(bases)

@@ -10,8 +10,8 @@ import numpy as np
 from ...core.errors import MeshskinError, RecordingError
 from .. import field_path
 from ..log_map import RECEIPT, TIME_UNITS, StreamMap
-from ..message_types import NAME_PATHS, default_paths, short
-from ..stream import CONTACTS, JOINTS, TAXELS, Stream, contact_fields
+from ..message_types import KNOWN, NAME_PATHS, default_paths, short
+from ..stream import CONTACTS, JOINTS, POSE, TAXELS, WRENCH, Stream, contact_fields
 
 FIRST_ROWS = 1024
 """Rows allocated for a topic whose number of messages is unknown; they grow by half."""
@@ -45,6 +45,12 @@ class Samples:
                 value=message_type,
                 remedy="correct kind, or say in values which fields hold the numbers",
             )
+        known = KNOWN.get(short(message_type), ("",))[0]
+        if stream.kind == JOINTS and known in (WRENCH, POSE, CONTACTS):
+            raise RecordingError(
+                f"{stream.topic} has messages of the wrong type for joints", value=message_type,
+                remedy=f'write kind = "{known}" in the map, or remove the stream',
+            )  # fmt: skip
         self.paths = [(path, field_path.getter(path)) for path in paths]
         self.selects = any(field_path.selects(path) for path in paths)
         heads = {field_path.parse(path)[0] for path in paths}
@@ -52,6 +58,8 @@ class Samples:
         self._sensors: dict[str, tuple[str, ...]] = {}
         self._sizes: tuple[int, ...] = ()
         self.count = self.messages = 0
+        self.empty = 0
+        """Messages of joints or taxels without any, which are left out."""
         self.expected = expected
         self.times = np.empty(expected or FIRST_ROWS)
         self.values = np.empty((0, 0))
@@ -78,6 +86,9 @@ class Samples:
                     return
                 self._check_selected(tuple(map(len, parts)))
                 row = parts[0] if len(parts) == 1 else np.concatenate(parts)
+            if not len(row) and self.map.kind in (JOINTS, TAXELS):
+                self.empty += 1  # a state of velocities alone, a sensor that has not started
+                return
             time = self._when(message, receipt)
         except MeshskinError as error:
             raise RecordingError(
@@ -156,13 +167,16 @@ class Samples:
     def _add_joints(self, message: Any, values: np.ndarray, time: float) -> None:
         names = self._joint_names(message, len(values))
         self.map.check_length(len(values), self.messages)
-        if names not in self._columns:
-            if len(names) != len(values) or len(set(names)) < len(names):
+        if names not in self._columns or len(names) != len(values):
+            if len(names) != len(values) or len(set(names)) < len(names) or "" in names:
+                known = {*names} - {""}
                 raise RecordingError(
                     f"message {self.messages} of {self.map.topic} needs one name for each joint",
-                    value=f"{len(names)} names, {len(set(names))} of them different",
+                    value=f"{len(names)} names, {len(known)} of them different",
                     limit=f"{len(values)} positions",
-                    remedy="give the names of the joints in names",
+                    remedy="remove the message from the log"
+                    if self.messages
+                    else "give the names of the joints in names",
                 )
             new = [name for name in names if name not in self.fields]
             self.fields += new
@@ -198,13 +212,16 @@ class Samples:
             self.map.check_length(len(row), self.messages)
             self.values = np.empty((len(self.times), len(row)), row.dtype)
             self.fields = list(self._labels(len(row)))
-        elif len(row) != self.values.shape[1]:
-            self.map.check_length(len(row), self.messages)
+        elif len(row) != (before := self.values.shape[1]):
+            path = self.paths[0][0]
+            alone = len(self.paths) == 1 and "[" not in path
+            path = f"{path}[:{min(before, len(row))}]" if alone else "sensors[0].values"
             raise RecordingError(
                 f"message {self.messages} of {self.map.topic} has another length than those before",
                 value=f"{len(row)} values",
-                limit=f"{self.values.shape[1]} values",
-                remedy="give a field path whose length does not change, such as sensors[0].values",
+                limit=f"{before} values",
+                remedy=f"give a field path whose length does not change, such as {path}, and that "
+                "length",
             )
         self._grow()
         self.values[self.count] = row
@@ -230,7 +247,13 @@ class Samples:
             self.values = wider
 
     def stream(self) -> Stream:
-        """What was appended."""
+        """What was appended. Raises RecordingError if all messages were empty."""
+        if self.empty and not self.count:
+            raise RecordingError(
+                f"message 0 of {self.map.topic} holds no values, nor do others",
+                value=f"{self.empty} messages",
+                remedy="correct the field paths in values",
+            )
         return Stream(
             self.map.topic,
             self.type,

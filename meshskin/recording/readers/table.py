@@ -1,40 +1,49 @@
 """CSV and Parquet files with a column of times, or folders of them.
 
 Columns are streams by their names (column_names.py); in a folder the name of the file comes before:
-joints/q_*. Between columns are commas, or semicolons, tabs or single spaces where the header has
-these; a file without commas between columns may have decimal commas.
+joints/q_*. Rows in which all columns of a stream are empty are those of other streams. Times are
+numbers, dates, or two columns of seconds and nanoseconds.
 """
 
 from __future__ import annotations
 
 import fnmatch
-import re
-from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
 
+from ...core.arguments import repr_short
+from ...core.arrays import Array
 from ...core.errors import RecordingError, UnknownNameError
 from ..log_map import TIME_UNITS, StreamMap
 from ..stream import CONTACTS, JOINTS, TAXELS, Log, Stream, contact_fields
+from . import csv_file, parquet_file
 from .column_names import groups as groups_of
-from .column_names import is_time, split_unit, suggest
+from .column_names import is_time, split_unit, suggest, wrench_columns
+from .csv_file import CsvFile
+from .parquet_file import ParquetFile
 
 if TYPE_CHECKING:
     from ..log_map import LogMap
 
-PARQUET = b"PAR1"
-"""First bytes of a Parquet file, and its last ones."""
-SUFFIXES = (".csv", ".parquet")
+SUFFIXES = (".csv", ".tsv", ".parquet")
 STEPS = (1e-4, 5.0)
 """Median times, s, from one row to the next that streams of a robot have: force sensors have 7 kHz
 at most, and a touch of some seconds has some rows."""
-HEAD = 65536
-"""Characters of a CSV file that tell its decimal point."""
+USUAL = (5e-4, 0.5)
+"""Median times, s, of which one unit at most has them: it is proposed where s is none."""
 LATEST = 1e11
 """Largest time, s: clocks of computers, which count from 1970, reach it in the year 5138."""
+SAME = 3.0
+"""Mean number of rows of one time from which times are rounded: streams of robots have one each."""
+SECONDS = ("sec", "secs", "seconds")
+NANOSECONDS = ("nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs")
+"""Ends of the names of two columns that make a time."""
 
 
 def read(
@@ -51,33 +60,33 @@ def read(
     files = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES) if folder else [path]
     groups: dict[str, tuple[Path, list[str]]] = {}
     for file in files:
-        for group, columns in groups_of(_columns(file)).items():
+        for group, columns in groups_of(_opened(file).names).items():
             groups[f"{file.stem}/{group}" if folder else group] = file, columns
-    chosen: list[tuple[str, StreamMap | None]] = (
-        [(group, None) for group in groups]
-        if log_map is None
-        else [(one.topic, one) for one in log_map.streams]
-    )
     streams, notes, could = list[Stream](), list[str](), dict[str, list[StreamMap]]()
+    if log_map is None:
+        for file in files:
+            own = {group: columns for group, (at, columns) in groups.items() if at == file}
+            found = _listed(file, own, notes, progress)
+            streams += [stream for stream, _ in found]
+            could |= {stream.name: maps for stream, maps in found}
+        return Log(path, tuple(streams), tuple(dict.fromkeys(notes))), could
     hidden = None if progress else True  # None: hidden where stderr is no terminal
-    for topic, given in tqdm(chosen, path.name, leave=False, disable=hidden):
-        file, columns = _choose(topic, given, groups, path)
-        stream = _stream(topic, file, columns, given, notes)
-        streams.append(stream)
-        could[topic] = suggest(topic, stream.fields) if given is None else []
+    for given in tqdm(log_map.streams, path.name, leave=False, disable=hidden):
+        file, columns = _choose(given.topic, given, groups, path)
+        streams.append(_stream(given, file, columns, notes))
     return Log(path, tuple(streams), tuple(dict.fromkeys(notes))), could
 
 
 def _choose(
-    topic: str, given: StreamMap | None, groups: dict[str, tuple[Path, list[str]]], path: Path
+    topic: str, given: StreamMap, groups: dict[str, tuple[Path, list[str]]], path: Path
 ) -> tuple[Path, list[str]]:
     """The file and the columns of a stream."""
-    patterns = () if given is None else given.values
+    patterns = given.values
     if topic in groups and not patterns:
         return groups[topic]
     files = {file.stem: file for file, _ in groups.values()}
     file = files.get(topic.partition("/")[0]) or (path if path.is_file() else None)
-    every = [] if file is None else _columns(file)
+    every = [] if file is None else list(_opened(file).names)
     if not patterns and (alone := topic if path.is_file() else topic.partition("/")[2]) in every:
         patterns = (alone,)
     if file is None or not patterns:
@@ -91,94 +100,139 @@ def _choose(
     return file, found
 
 
-def _columns(file: Path) -> list[str]:
-    """Names of the columns. Raises RecordingError."""
-    import csv
-
-    import pyarrow.parquet as pq
-
-    try:
-        if _is_parquet(file):
-            return list(pq.read_schema(file).names)
-        with file.open(encoding="utf-8-sig", newline="") as stream:
-            header = next(csv.reader(stream, skipinitialspace=True, delimiter=_delimiter(file)), [])
-            names = [name.strip() for name in header]
-            if names and names[0].startswith("#"):
-                names[:1] = filter(None, [names[0].lstrip("# ")])
-    except (UnicodeDecodeError, csv.Error):
-        names = []
-    except (pa.ArrowInvalid, OSError) as error:
-        raise RecordingError(
-            f"{file.name} cannot be read: {str(error).splitlines()[0]}",
-            remedy="a torn Parquet file has lost its columns; record it again",
-        ) from error
-    if len(names) < 2:
-        raise RecordingError(
-            f"{file.name} is no log: neither a bag nor a table with a header line",
-            remedy="give a ROS bag, an MCAP file, a YARP folder, or CSV or Parquet files",
-        )
-    return names
-
-
-def _delimiter(file: Path) -> str:
-    """What is between the columns of a CSV file, by its header."""
-    with file.open(encoding="utf-8-sig") as stream:
-        header = stream.readline()
-    most = max(",;\t", key=header.count)
-    spaced = most not in header and any(map(is_time, header.split()))
-    return " " if spaced else most
-
-
-def _decimal_point(file: Path, delimiter: str) -> str:
-    """What is before the decimals of numbers in a CSV file, by its first rows."""
-    with file.open(encoding="utf-8-sig", errors="replace") as stream:
-        stream.readline()
-        rows = stream.read(HEAD)
-    with_comma = delimiter != "," and re.search(r"\d,\d", rows) and not re.search(r"\d\.\d", rows)
-    return "," if with_comma else "."
-
-
-def _is_parquet(file: Path) -> bool:
+def _opened(file: Path) -> CsvFile | ParquetFile:
+    """How the file is written. Raises RecordingError for what is no table."""
     with file.open("rb") as stream:
-        return stream.read(4) == PARQUET
+        parquet = stream.read(4) == parquet_file.MAGIC
+    return parquet_file.opened(file) if parquet else csv_file.opened(file)
 
 
-def _time_column(names: list[str], file: Path) -> str:
+def _time_columns(file: CsvFile | ParquetFile, asked: str) -> list[str]:
+    """The column of times, or those of seconds and nanoseconds. Raises RecordingError."""
+    names = file.names
+    if asked and asked in names:
+        return [asked]
+    if not asked and (named := [name for name in names if is_time(name)]):
+        return named[:1]
     for name in names:
-        if is_time(name):
-            return name
+        start, _, end = name.rpartition(".")
+        start = f"{start}." if start else ""
+        if end in SECONDS and (not asked or asked == start[:-1]):
+            for nano in NANOSECONDS:
+                if f"{start}{nano}" in names:
+                    return [name, f"{start}{nano}"]
+    if asked:
+        raise UnknownNameError("column", asked, names, f" in {file.path.name}")
+    if isinstance(file, ParquetFile) and file.timed:
+        return [file.timed]
     raise RecordingError(
-        f"{file.name} has no column of times",
+        f"{file.path.name} has no column of times",
         value=", ".join(names)[:60],
         remedy="name it time, time_s or time_ms, or give its name as time in the map",
     )
 
 
-def _stream(
-    topic: str, file: Path, columns: list[str], given: StreamMap | None, notes: list[str]
-) -> Stream:
-    """The stream of some columns of a file."""
-    time = given.time if given is not None and given.time else _time_column(_columns(file), file)
-    if time not in _columns(file):
-        raise UnknownNameError("column", time, _columns(file), f" in {file.name}")
-    wanted = columns if given is not None else []
-    every = [*_columns(file), time, *wanted]
-    if twice := [name for name in (time, *wanted) if every.count(name) > 2]:
+def _unit(times: list[str], batch: pa.RecordBatch, otherwise: str) -> str:
+    """The unit of columns of times: that of their type or name, or `otherwise`."""
+    if pa.types.is_temporal(batch.column(times[0]).type):
+        return "ns"
+    unit = split_unit(times[0])[1]
+    return "s" if len(times) > 1 else unit if unit in TIME_UNITS else otherwise
+
+
+def _seconds(numbers: Array, unit: str) -> Array:
+    """Times (n,), s, of numbers (n, 1), or of seconds and nanoseconds (n, 2)."""
+    nano = TIME_UNITS["ns"] * numbers[:, 1] if numbers.shape[1] > 1 else 0.0
+    return np.asarray(numbers[:, 0] * TIME_UNITS[unit] + nano)
+
+
+def _usual_unit(step: float) -> str:
+    """The unit of times whose median step is `step` of it; s where it can be."""
+    if not step or STEPS[0] <= step < STEPS[1]:
+        return "s"
+    return next((u for u, s in TIME_UNITS.items() if USUAL[0] <= s * step < USUAL[1]), "s")
+
+
+def _listed(
+    path: Path, groups: dict[str, list[str]], notes: list[str], progress: bool
+) -> list[tuple[Stream, list[StreamMap]]]:
+    """The streams of a file with their times alone, and what each could be."""
+    from tqdm import tqdm
+
+    file = _opened(path)
+    columns = _time_columns(file, "")
+    _check_once(file, columns)
+    names = [name for own in groups.values() for name in own]
+    every = [name for name in names if file.names.count(name) == 1 and name not in columns]
+    parts, known, unit = list[Array](), list[list[NDArray[np.bool_]]](), "s"
+    texts: dict[str, str] = {}
+    batches = file.batches([*columns, *every], notes)
+    hidden = None if progress else True  # None: hidden where stderr is no terminal
+    row = 0
+    for batch in tqdm(batches, path.name, leave=False, unit=" parts", disable=hidden):
+        unit = _unit(columns, batch, "")
+        parts.append(_numbers(batch, columns, path, row))
+        known.append([_known(batch, own, every) for own in groups.values()])
+        for name in every if not row else ():
+            if not _is_number(text := batch.column(name)[0].as_py()):
+                texts[name] = str(text)
+        row += len(batch)
+    numbers = np.concatenate(parts) if parts else np.empty((0, len(columns)))
+    guessed = ""
+    if not unit:
+        unit = _usual_unit(Stream("", "", numbers[:, 0], np.empty((row, 0))).period)
+        guessed = unit
+    times, found = _seconds(numbers, unit), []
+    for k, (topic, own) in enumerate(groups.items()):
+        rows = np.concatenate([part[k] for part in known]) if known else slice(0)
+        stream = Stream(topic, "table", times[rows], np.empty((len(times[rows]), 0)), tuple(own))
+        maps = [] if set(own) <= set(texts) else suggest(topic, own, texts)
+        found.append((stream, [replace(one, time_unit=guessed or one.time_unit) for one in maps]))
+    return found
+
+
+def _known(batch: pa.RecordBatch, columns: list[str], read: list[str]) -> NDArray[np.bool_]:
+    """The rows (n,) of a batch in which one of the columns that are read is not empty; all of them
+    where none is read."""
+    read = [name for name in columns if name in read]
+    known = np.full(len(batch), not read)
+    for name in read:
+        column = batch.column(name)
+        known |= ~pc.is_null(column, nan_is_null=True).to_numpy(zero_copy_only=False)
+        if known.all():
+            break
+    return known
+
+
+def _check_once(file: CsvFile | ParquetFile, columns: list[str]) -> None:
+    """Raise RecordingError for a column that occurs twice in the file or in `columns`."""
+    every = [*file.names, *columns]
+    if twice := [name for name in columns if every.count(name) > 2]:
         raise RecordingError(
-            f"a column of {file.name} occurs twice, or the map takes it twice",
+            f"a column of {file.path.name} occurs twice, or the map takes it twice",
             value=twice[0],
             remedy="rename it in the header, or correct values in the map",
         )
-    parts, dated = [], False
-    for batch in _batches(file, [time, *wanted], notes):
-        dated = pa.types.is_timestamp(batch.column(time).type)
-        parts.append(_numbers(batch, [time, *wanted], file))
-    table = np.concatenate(parts) if parts else np.empty((0, 1 + len(wanted)))
-    _, unit = split_unit(time)
-    stated = unit if unit in TIME_UNITS else "s" if given is None else given.time_unit
-    times = table[:, 0] * TIME_UNITS["ns" if dated else stated]
-    if given is None:
-        return Stream(topic, "table", times, np.empty((len(times), 0)), tuple(columns))
+
+
+def _stream(given: StreamMap, path: Path, columns: list[str], notes: list[str]) -> Stream:
+    """The stream of some columns of a file."""
+    topic, file = given.topic, _opened(path)
+    if given.kind == JOINTS and (forces := wrench_columns(columns)):
+        raise RecordingError(
+            f"{topic} has columns of forces, which are no joints", value=", ".join(forces),
+            remedy='write kind = "wrench" in the map, or correct values',
+        )  # fmt: skip
+    stamps = _time_columns(file, given.time)
+    _check_once(file, [*stamps, *columns])
+    parts, unit, row = list[Array](), given.time_unit, 0
+    for batch in file.batches([*stamps, *columns], notes):
+        unit = _unit(stamps, batch, given.time_unit)
+        numbers = _numbers(batch, [*stamps, *columns], path, row)
+        parts.append(numbers[np.isfinite(numbers[:, len(stamps) :]).any(axis=1)])
+        row += len(batch)
+    table = np.concatenate(parts) if parts else np.empty((0, len(stamps) + len(columns)))
+    times, values = _seconds(table[:, : len(stamps)], unit), table[:, len(stamps) :]
     given.check_length(len(columns), 0)
     fields = tuple(columns)
     if given.kind == TAXELS:
@@ -192,118 +246,83 @@ def _stream(
             f"{topic} needs one name for each column",
             value=f"{len(fields)} names", limit=f"{len(columns)} columns",
         )  # fmt: skip
-    unit = given.unit or given.si_unit
-    stream = Stream(topic, "table", times, table[:, 1:], fields, given.kind, unit)
-    _check_times(stream, time, "ns" if dated else stated)
+    stream = Stream(topic, "table", times, values, fields, given.kind, given.unit or given.si_unit)
+    _check_times(stream, stamps[0], unit)
     return stream
 
 
 def _check_times(stream: Stream, column: str, unit: str) -> None:
-    """Refuse times that cannot be in their unit."""
+    """Refuse times that cannot be in their unit, or are rounded."""
     if lost := int(np.sum(~np.isfinite(stream.times))):
         raise RecordingError(
             f"rows of {stream.name} have no time", value=f"{lost} of {len(stream)}",
             remedy="remove them from the file",
         )  # fmt: skip
-    late = len(stream) > 0 and np.abs(stream.times).max() >= LATEST
-    paced = stream.kind == CONTACTS or not stream.period
-    if late or not (paced or STEPS[0] <= stream.period < STEPS[1]):
+    if stream.kind == CONTACTS or not stream.period:
+        paced = True
+    else:
+        paced = STEPS[0] <= stream.period < STEPS[1]
+        rows = len(stream) / (1 + np.count_nonzero(np.diff(stream.times)))
+        if rows > SAME and stream.kind != JOINTS:  # joints may be in messages of their own
+            raise RecordingError(
+                f"the times of {stream.name} are rounded",
+                value=f"{rows:.3g} rows of each time in {column}",
+                limit=f"{SAME:g}",
+                remedy="write times with all decimals, or give the column that has them as time in "
+                "the map",
+            )
+    if (len(stream) > 0 and np.abs(stream.times).max() >= LATEST) or not paced:
+        other = _usual_unit(stream.period / TIME_UNITS[unit])
         raise RecordingError(
             f"the times of {stream.name} cannot be in {unit}",
             value=f"{column} from {stream.times[0]:g} s in steps of {stream.period:g} s",
             limit=f"steps of {STEPS[0]:g} to {STEPS[1]:g} s, below {LATEST:g} s",
-            remedy='give their time_unit in the map, "s", "ms", "us" or "ns", or name the column '
-            "with its unit, time_ms",
+            remedy=f'give time_unit = "{other}" in the map, if that is their unit, or name the '
+            f"column with its unit, time_{other}",
         )
 
 
-def _batches(file: Path, columns: list[str], notes: list[str]) -> Iterator[pa.RecordBatch]:
-    """Rows of some columns, a part at a time. Raises RecordingError.
+def _numbers(batch: pa.RecordBatch, columns: list[str], file: Path, row: int) -> Array:
+    """Columns of a batch as numbers (n, k), of dates and durations ns. Raises RecordingError.
 
-    The last line of a CSV file is left out if it does not end or is short: the log is torn there.
+    row: that of the file at which the batch begins.
     """
-    import pyarrow.parquet as pq
-    from pyarrow import csv
-
-    if _is_parquet(file):
+    parts = []
+    for name in columns:
+        column = batch.column(name)
+        if pa.types.is_temporal(column.type):
+            column = _nanoseconds(column)
+        values = column.to_numpy(zero_copy_only=False)
         try:
-            yield from pq.ParquetFile(file).iter_batches(columns=columns)
-        except (pa.ArrowInvalid, OSError) as error:
-            notes.append(
-                f"{file.name} is torn ({str(error).splitlines()[0]}): what is before is read"
-            )
-        return
-    short: list[int] = []
-
-    def skip(row: csv.InvalidRow) -> str:
-        short.append(row.number if row.number is not None else -1)
-        return "skip"
-
-    whole, delimiter = _ends_with_a_line(file), _delimiter(file)
-    options = {
-        "read_options": csv.ReadOptions(
-            use_threads=False, column_names=_columns(file), skip_rows=1
-        ),
-        "parse_options": csv.ParseOptions(delimiter=delimiter, invalid_row_handler=skip),
-    }
-    convert = csv.ConvertOptions(
-        include_columns=columns, decimal_point=_decimal_point(file, delimiter)
-    )
-    try:
-        with csv.open_csv(file, convert_options=convert, **options) as reader:
-            convert.column_types = dict(map(_widest, reader.schema))
-        short.clear()
-        with csv.open_csv(file, convert_options=convert, **options) as reader:
-            held = None
-            for batch in reader:
-                if held is not None:
-                    yield held
-                held = batch if len(batch) else held
-    except (pa.ArrowInvalid, pa.ArrowKeyError, OSError, UnicodeDecodeError) as error:
-        raise RecordingError(
-            f"{file.name} cannot be read: {str(error).splitlines()[0]}",
-            remedy="write one header line and numbers separated by commas, in UTF-8",
-        ) from error
-    if len(short) > 1 or (short and whole):
-        raise RecordingError(
-            f"{len(short)} lines of {file.name} have another number of columns than its header",
-            remedy="remove them",
-        )
-    if held is None:
-        return
-    if not whole:
-        notes.append(f"{file.name} does not end with a line: its last line is left out")
-    yield held if whole or short else held.slice(0, len(held) - 1)
-
-
-def _ends_with_a_line(file: Path) -> bool:
-    with file.open("rb") as stream:
-        stream.seek(max(file.stat().st_size - 1, 0))
-        return stream.read(1) in (b"\n", b"\r")
-
-
-def _widest(field: pa.Field) -> tuple[str, pa.DataType]:
-    """Name and type of a column whose first rows are of a type: integers may have decimals later,
-    missing numbers be there, and seconds have parts."""
-    if pa.types.is_integer(field.type) or pa.types.is_null(field.type):
-        return field.name, pa.float64()
-    if pa.types.is_timestamp(field.type):
-        return field.name, pa.timestamp("ns", field.type.tz)
-    return field.name, field.type
-
-
-def _numbers(batch: pa.RecordBatch, columns: list[str], file: Path) -> np.ndarray:
-    """Columns of a batch as numbers (n, k), of dates ns since 1970. Raises RecordingError."""
-    try:
-        parts = []
-        for name in columns:
-            column = batch.column(name)
-            if pa.types.is_timestamp(column.type):
-                column = column.cast(pa.timestamp("ns")).cast(pa.int64())
-            parts.append(np.asarray(column.to_numpy(zero_copy_only=False), dtype=float))
-    except (TypeError, ValueError) as error:
-        raise RecordingError(
-            f"the columns of {file.name} must contain numbers: {error}",
-            remedy="write numbers with decimal points, or leave the column out of the map",
-        ) from error
+            parts.append(np.asarray(values, dtype=float))
+        except (TypeError, ValueError) as error:
+            at = next(k for k, value in enumerate(values) if not _is_number(value))
+            raise RecordingError(
+                f"the columns of {file.name} must contain numbers",
+                value=f"{name} = {repr_short(values[at])} in row {row + at + 1}",
+                remedy="write times in s, or dates as 2026-01-31 10:00:00.000"
+                if name == columns[0]
+                else "write numbers with decimal points and without separators of thousands, leave "
+                "missing ones empty, or leave the column out of the map",
+            ) from error
     return np.stack(parts, axis=1)
+
+
+def _is_number(value: object) -> bool:
+    try:
+        float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return value is None
+    return True
+
+
+def _nanoseconds(column: pa.Array) -> pa.Array:
+    """Dates, times of a day and durations as whole numbers of ns."""
+    kind = column.type
+    if pa.types.is_duration(kind):
+        column = column.cast(pa.duration("ns"))
+    elif pa.types.is_time(kind):
+        column = column.cast(pa.time64("ns"))
+    else:
+        column = column.cast(pa.timestamp("ns", getattr(kind, "tz", None)))
+    return column.cast(pa.int64())

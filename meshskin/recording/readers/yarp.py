@@ -1,7 +1,8 @@
 """Folders of the YARP data dumper: info.log beside data.log, one folder a port.
 
 A line of data.log is `count time content`, or `count sent received content` where info.log says
-"Stamp: tx+rx". The content is a vector of numbers, or a list of skin contacts
+"Stamp: tx+rx". The content is a vector of numbers, numbers in nested lists (taken in their order;
+`values` of the map says which, such as 0:6), or a list of skin contacts
 
     ((id body_part link skin_part) (centre of pressure) (force) (moment) (geometric centre) (normal)
      (active taxels) pressure)
@@ -62,9 +63,15 @@ PARTS: dict[str, tuple[str, ...]] = {
 }
 """Names of the joints by port, in its order: those of the robot's URDF files where they have the
 joint."""
-STATE = re.compile(r"/(\w+)/state:o$")
+STATE = re.compile(r"/(\w+)/state(Ext)?:o$")
 """Ports of joint angles, in degrees."""
+RANGE = re.compile(r"(\d*):(\d*)")
+"""A part of the numbers of a line, as a slice of Python's."""
 _TOKEN = re.compile(r"[()]|[^\s()]+")
+
+
+class OtherContentError(RecordingError):
+    """A port of text, images or other content than numbers."""
 
 
 @dataclass(frozen=True)
@@ -102,11 +109,20 @@ def read(
     folder = path if path.is_dir() else path.parent
     notes: list[str] = []
     streams: list[Stream] = []
+    failed: list[OtherContentError] = []
     wanted = None if log_map is None else [stream.topic for stream in log_map.streams]
     for port in ports(folder):
         if wanted is not None and not any(_belongs(topic, port) for topic in wanted):
             continue
-        streams += _streams(port, notes, progress)
+        try:
+            streams += _streams(port, notes, progress)
+        except OtherContentError as error:
+            if log_map is not None:
+                raise
+            failed.append(error)
+            notes.append(f"{port.name} is not listed: {error}")
+    if failed and not streams:
+        raise failed[0]
     if log_map is None:
         return Log(path, tuple(sorted(streams, key=lambda one: one.name)), tuple(notes)), {
             one.name: suggest(one) for one in streams
@@ -126,11 +142,12 @@ def _belongs(topic: str, port: Port) -> bool:
 
 def _mapped(stream: Stream, given: StreamMap) -> Stream:
     """The stream as the map says. Raises RecordingError for a kind that it cannot be."""
-    if given.values or given.time:
+    ranges = [RANGE.fullmatch(part) for part in given.values]
+    if given.time or not all(ranges) or (ranges and stream.type != VECTOR):
         raise RecordingError(
             f"the lines of {stream.name} have one time and one vector",
             value="values or time in the map",
-            remedy="leave them out",
+            remedy="leave them out, or write values as ranges of the vector, such as 0:6",
         )
     wrong = stream.type == SKIN_CONTACTS and given.kind != stream.kind
     if wrong or (stream.type == VECTOR and given.kind == CONTACTS):
@@ -139,8 +156,13 @@ def _mapped(stream: Stream, given: StreamMap) -> Stream:
             value=stream.type,
             remedy=f"it can be {stream.kind or 'joints, taxels, a wrench or a pose'}",
         )
-    width = stream.values.shape[1]
-    names = stream.fields
+    values = stream.values
+    if ranges:
+        every = np.arange(values.shape[1])
+        parts = [every[slice(*(int(k) if k else None for k in r.groups()))] for r in ranges if r]
+        values = values[:, np.concatenate(parts)]
+    width = values.shape[1]
+    names = stream.fields[:width]
     if stream.type == VECTOR:
         given.check_length(width, 0)
         if given.kind == TAXELS:
@@ -155,7 +177,7 @@ def _mapped(stream: Stream, given: StreamMap) -> Stream:
                 remedy="correct names in the map",
             )
     unit = given.unit or given.si_unit
-    return Stream(stream.name, stream.type, stream.times, stream.values, names, given.kind, unit)
+    return Stream(stream.name, stream.type, stream.times, values, names, given.kind, unit)
 
 
 def _streams(port: Port, notes: list[str], progress: bool) -> list[Stream]:
@@ -165,30 +187,40 @@ def _streams(port: Port, notes: list[str], progress: bool) -> list[Stream]:
     hidden = None if progress else True  # None: hidden where stderr is not a terminal
     lines = tqdm(_lines(port, notes), port.name, leave=False, unit=" lines", disable=hidden)
     times, vectors, contacts = list[float](), list[np.ndarray](), list[tuple[int, list[Any]]]()
+    empty, nested = list[int](), False
     for number, (time, content) in enumerate(lines):
+        if not vectors and not contacts:
+            nested = content.startswith("(") and not _is_contacts(content)
         try:
-            if content.startswith("("):
+            if content.startswith("(") and not nested:
                 contacts += [(len(times), _contact(one)) for one in _parsed(content)]
             elif content:
-                vectors.append(np.array(content.split(), dtype=float))
+                words = content.replace("(", " ").replace(")", " ") if nested else content
+                vectors.append(np.array(words.split(), dtype=float))
                 if len(vectors[-1]) != len(vectors[0]):
                     raise ValueError(f"{len(vectors[-1])} values, {len(vectors[0])} before")
+            else:
+                empty.append(len(times))
         except (ValueError, IndexError) as error:
-            if number + 1 == _count_lines(port.file):
+            if number and number + 1 == _count_lines(port.file):
                 notes.append(f"{port.name} is torn in its last line: what is before is read")
                 vectors = vectors[: len(times)]
                 break
-            raise RecordingError(
+            kind = RecordingError if vectors or contacts else OtherContentError
+            raise kind(
                 f"line {number + 1} of {port.file.parent.name}/{port.file.name} is neither a "
                 f"vector as long as those before nor a list of contacts: {error}",
                 remedy="read a port of vectors or of skin contacts",
             ) from error
         times.append(time)
-    if vectors and (contacts or len(vectors) != len(times)):
+    if vectors and contacts:
         raise RecordingError(
-            f"{port.name} has lines with and without vectors", value=f"{len(vectors)} vectors",
-            limit=f"{len(times)} lines",
+            f"{port.name} has lines of vectors and of contacts", value=f"{len(vectors)} vectors",
+            limit=f"{len(times)} lines", remedy="remove the ones or the others",
         )  # fmt: skip
+    if vectors and empty:
+        notes.append(f"{len(empty)} lines of {port.name} are empty: they are left out")
+        times = np.delete(times, empty).tolist()
     if contacts:
         return _contact_streams(port.name, np.array(times), contacts)
     values = np.array(vectors) if vectors else np.empty((len(times), 0))
@@ -246,6 +278,14 @@ def _parsed(text: str) -> list[Any]:
     return stack[0]
 
 
+def _is_contacts(text: str) -> bool:
+    """Whether a line lists skin contacts."""
+    try:
+        return bool([_contact(one) for one in _parsed(text)])
+    except ValueError:
+        return False
+
+
 def _contact(entry: Any) -> list[Any]:
     """A contact, checked. Raises ValueError."""
     parts = entry if isinstance(entry, list) else []
@@ -283,16 +323,22 @@ def _contact_streams(
 
 def suggest(stream: Stream) -> list[StreamMap]:
     """What a port could be, by its name and the length of its vectors."""
-    width = stream.values.shape[1]
+    name, width = stream.name, stream.values.shape[1]
+    if not width:
+        return []
     if stream.kind:
-        return [StreamMap(stream.name, stream.kind)]
-    if match := STATE.search(stream.name):
+        return [StreamMap(name, stream.kind)]
+    if match := STATE.search(name):
         names = PARTS.get(match[1], ())
+        if match[2] and len(names) < width:  # angles come before velocities, currents and modes
+            return (
+                [StreamMap(name, JOINTS, (f"0:{len(names)}",), names, unit="deg")] if names else []
+            )
         names = names if len(names) == width else ()
-        return [StreamMap(stream.name, JOINTS, names=names, length=width, unit="deg")]
-    if "skin" in stream.name and width >= MIN_TAXELS:
-        polarity = RISING if "_comp" in stream.name else FALLING
-        return [StreamMap(stream.name, TAXELS, length=width, polarity=polarity)]
-    if width == 6 and any(word in stream.name for word in ("FT", "analog", "wrench")):
-        return [StreamMap(stream.name, WRENCH)]
-    return [StreamMap(stream.name, TAXELS, length=width)] if width >= MIN_TAXELS else []
+        return [StreamMap(name, JOINTS, names=names, length=width, unit="deg")]
+    if "skin" in name and width >= MIN_TAXELS:
+        polarity = RISING if "_comp" in name else FALLING
+        return [StreamMap(name, TAXELS, length=width, polarity=polarity)]
+    if width >= 6 and re.search("FT|analog|[wW]rench", name):
+        return [StreamMap(name, WRENCH, ("0:6",) if width > 6 else ())]
+    return [StreamMap(name, TAXELS, length=width)] if width >= MIN_TAXELS else []

@@ -7,7 +7,6 @@ holds records, compressed or not (https://mcap.dev/spec).
 from __future__ import annotations
 
 import struct
-import sys
 import zlib
 from collections.abc import Iterator
 from io import BytesIO
@@ -24,6 +23,7 @@ from .records import (
     read_exactly,
     unknown_codec,
     unpacked_lz4,
+    unpacked_zstd,
 )
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -124,14 +124,7 @@ def _decompress(content: bytes, compression: str, path: Path) -> bytes:
     if compression == "lz4":
         return unpacked_lz4(content)
     if compression == "zstd":
-        if sys.version_info >= (3, 14):
-            from compression import zstd
-        else:
-            from backports import zstd
-        try:
-            return bytes(zstd.ZstdDecompressor().decompress(content))
-        except zstd.ZstdError as error:
-            raise Torn from error
+        return unpacked_zstd(content)
     remedy = "compress it anew (mcap compress --compression zstd)"
     raise unknown_codec(path, compression, "none, lz4 or zstd", remedy)
 

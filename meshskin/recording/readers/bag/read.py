@@ -16,7 +16,7 @@ from ...stream import Log, Stream, in_order
 from ..samples import NANO, Samples
 from . import mcap_file, ros1, sqlite_file
 from .indexed import IndexedBag, require_rosbags
-from .records import BEFORE_TEAR, Bag, ScannedBag, Torn
+from .records import BEFORE_TEAR, ZSTD, Bag, ScannedBag, Torn, unpacked_zstd
 
 if TYPE_CHECKING:
     from ...log_map import LogMap, StreamMap
@@ -27,6 +27,8 @@ MAGICS = {ros1.MAGIC: "ros1", sqlite_file.MAGIC: "sqlite", mcap_file.MAGIC: "mca
 """First bytes of the formats."""
 MAX_DAMAGED = 0.05
 """Share of the messages of a topic so far up to which those that cannot be decoded are left out."""
+FIRST = 50
+"""Messages of a topic of which the first with values tells what it could be."""
 STAMP, STAMP_AT = struct.Struct("<iI"), 4
 """Seconds and nanoseconds of a header, and the byte where they are: in ROS 1 after the sequence
 number, in CDR after the encapsulation."""
@@ -61,6 +63,11 @@ def read(
     except Torn as error:
         reason = str(error)
     parts = [path] if path.is_file() else _storage(path)
+    if not parts and (packed := next(path.glob("*.zstd"), None)):
+        raise RecordingError(
+            f"{path.name} has compressed files and no metadata.yaml", value=packed.name,
+            remedy="unpack them with zstd -d",
+        )  # fmt: skip
     if not parts:
         raise RecordingError(
             f"{path.name} holds no log: no bag, no data.log of YARP, no CSV or Parquet file",
@@ -120,34 +127,40 @@ def _collect(path: Path, bag: Bag, log_map: LogMap | None, progress: bool) -> tu
         for topic, count in damaged.items()
         if count
     ]
+    left_out += [
+        f"{one.empty} messages of {one.map.topic} hold no {one.map.kind}: they are left out"
+        for one in every
+        if one.empty
+    ]
     return Log(path, tuple(in_order(one.stream()) for one in every), (*bag.notes, *left_out)), {}
 
 
 def _times(path: Path, bag: Bag, progress: bool) -> tuple[Log, Could]:
     """The times of all topics, and what their first messages could be."""
     times = {topic: array("d") for topic in bag.types}
-    could: Could = {}
+    could: dict[str, list[StreamMap] | None] = {}
     headers = {topic for topic in bag.types if bag.has_header(topic)}
     for topic, receipt, data in _shown(bag, times, path, progress):
-        if topic not in could:
+        if topic not in could and _stamp(data) == 0.0:
+            headers.discard(topic)
+        if len(times[topic]) < FIRST and could.get(topic, []) == []:  # the first may be empty
             could[topic] = _suggest(bag, topic, data)
-            if _stamp(data) == 0.0:
-                headers.discard(topic)
         stamp = _stamp(data) if topic in headers else NANO * receipt
         times[topic].append(stamp)
     streams = tuple(
         in_order(Stream(topic, bag.types[topic], np.array(own), np.empty((len(own), 0))))
         for topic, own in sorted(times.items())
     )
-    return Log(path, streams, tuple(bag.notes)), could
+    return Log(path, streams, tuple(bag.notes)), {t: maps or [] for t, maps in could.items()}
 
 
-def _suggest(bag: Bag, topic: str, data: bytes) -> list[StreamMap]:
+def _suggest(bag: Bag, topic: str, data: bytes) -> list[StreamMap] | None:
+    """What a topic could be by a message of it; None, with a note, if it cannot be decoded."""
     try:
         message: Any = bag.decoder(topic)(data)
     except RecordingError as error:
         bag.notes.append(str(error))
-        return []
+        return None
     return suggestions(topic, bag.types[topic], message)
 
 
@@ -167,6 +180,8 @@ def _shown(
 
     total = sum(bag.counts[topic] for topic in topics)
     hidden = None if progress else True  # None: hidden where stderr is not a terminal
-    yield from tqdm(
+    for topic, time, data in tqdm(
         bag.messages(topics), path.name, total, leave=False, unit=" messages", disable=hidden
-    )
+    ):
+        packed = data[: len(ZSTD)] == ZSTD  # of which rosbags knows by metadata.yaml alone
+        yield topic, time, unpacked_zstd(data) if packed else data

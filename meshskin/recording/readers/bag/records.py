@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,8 @@ from ....core.errors import RecordingError
 
 MSG, IDL, UNDEFINED = "msg", "idl", ""
 """Formats of message definitions."""
+ZSTD = b"\x28\xb5\x2f\xfd"
+"""First bytes of what zstd compressed; those of CDR are 0 and 0, 1, 2 or 3."""
 BEFORE_TEAR = "messages before the tear are read"
 """End of the note on a torn file."""
 
@@ -59,6 +62,18 @@ def unpacked_lz4(content: bytes) -> bytes:
     try:
         return bytes(LZ4FrameDecompressor().decompress(content))
     except RuntimeError as error:
+        raise Torn from error
+
+
+def unpacked_zstd(content: bytes) -> bytes:
+    """The content of a chunk or a message, as far as it is there. Raises Torn if it is damaged."""
+    if sys.version_info >= (3, 14):
+        from compression import zstd
+    else:
+        from backports import zstd
+    try:
+        return bytes(zstd.ZstdDecompressor().decompress(content))
+    except zstd.ZstdError as error:
         raise Torn from error
 
 
