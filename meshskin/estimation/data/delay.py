@@ -1,4 +1,5 @@
-"""Readings that come some frames later or earlier than their contacts: found, and moved back.
+"""Readings that come some frames later or earlier than their contacts, all of them or from a part
+of the recording on: found, and moved back.
 
 A delay displaces the contacts that a taxel responds to along their path, to both sides where the
 passes over it have two directions. They spread least at the true delay, whatever the response is.
@@ -45,6 +46,9 @@ to that by which they exceed it, up to which there can be such a filter: noise l
 """
 MIN_USED = 0.5
 """Least part of the readings that have a contact in time at a delay: fewer do not show it."""
+ENDS, DIVISIONS = (1 / 3, 1 / 6), 200
+"""Parts of the contacts, the first and the last, whose delays are compared, and the number of
+contacts, at most, from which on the delay may be another."""
 PAUSE = 3.0
 """Time between contacts, in typical frames times their difference, from which there is a pause."""
 
@@ -154,21 +158,63 @@ def comparison(moved: Array, present: Array) -> tuple[float, float]:
 
 def without_delay(data: Measurements) -> Measurements:
     """The measurements with late readings at the contacts that they belong to; `delay` says by how
-    many frames they were moved.
+    many frames they were moved, and `later` by how many more from a part of the contacts on.
 
     Readings that a pause separates from their contacts are left out. Contacts whose readings are
     left out, or came before the first contact or after the last, have none.
     """
-    frames = late_frames(data)
-    if not frames:
+    if frames := late_frames(data):
+        data = replace(_moved_back(data, np.full(len(data.points), frames)), delay=frames)
+    place, before, after = _change(data)
+    if before == after:
         return data
-    row, inside = _moved(data, -frames)
-    part = data.select(inside)
     contacts = np.arange(len(data.points))
-    unread = contacts[~_in_time(data, contacts, contacts + frames)]
-    at = data.corrupt[:, 0]
-    corrupt = (data.corrupt - [frames, 0])[_in_time(data, at, at - frames)]
-    return replace(part, contact=row[inside], corrupt=corrupt, delay=frames, unread=unread)
+    unclear = np.abs(contacts - place + 0.5) < abs(after - before)
+    moved = _moved_back(data, np.where(contacts < place, before, after), unclear)
+    part = place / len(contacts)
+    return replace(moved, delay=frames + before, later=(part, after - before))
+
+
+def _change(data: Measurements) -> tuple[int, int, int]:
+    """The contact from which on the delay of the readings is another, and the delays, in frames,
+    before and after it; equal ones where it does not change.
+
+    The first and the last of ENDS are compared. The contacts of all taxels spread least if the
+    readings are moved from the true one on.
+    """
+    m, k = len(data.points), data.contact
+    level = np.maximum(data.pressure - data.rest[data.taxel], 0.0)
+    ends = {
+        tuple(late_frames(data.select(rows)) for rows in (k < end * m, k >= (1 - end) * m))
+        for end in ENDS
+    }
+
+    def spread(place: int, before: int, after: int) -> float:
+        row = k - np.where(k < place, before, after)
+        there = _in_time(data, k, row)
+        at = data.points[row[there]]
+        return float(np.mean(spreads_by_group(at, data.taxel[there], level[there] ** 2)))
+
+    places = np.unique(np.linspace(1, m - 1, DIVISIONS).astype(int)).tolist()
+    changes = [(p, *both) for both in sorted(ends) if both[0] != both[1] for p in places]
+    best = min(changes, key=lambda change: spread(*change), default=(0, 0, 0))
+    return best if spread(*best) < LATE_GAIN * spread(0, 0, 0) else (0, 0, 0)
+
+
+def _moved_back(
+    data: Measurements, frames: np.ndarray, unclear: np.ndarray | None = None
+) -> Measurements:
+    """The measurements with readings moved to the contacts `frames` (m,) before those that they are
+    recorded at; without those recorded at the contacts (m,) bool that are `unclear`."""
+    contacts = np.arange(len(data.points))
+    row = contacts - frames
+    there = _in_time(data, contacts, row)
+    if unclear is not None:
+        there &= ~unclear
+    part, (at, taxel) = data.select(there[data.contact]), data.corrupt.T
+    corrupt = np.stack([row[at], taxel], axis=1)[there[at]]
+    unread = np.union1d(data.unread, np.setdiff1d(contacts, row[there]))
+    return replace(part, contact=row[part.contact], corrupt=corrupt, unread=unread)
 
 
 def _moved(data: Measurements, frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -201,7 +247,7 @@ def remaining_squares(data: Measurements) -> Array:
     over it and differ between passes: where these have two directions, it is found between them.
     """
     n = len(data.ids)
-    if not data.delay:
+    if not (data.delay or data.later[1]):
         return np.zeros((n, 3, 3))
     moved, rows = displacements(data, 1)
     order = np.lexsort((data.contact[rows], data.taxel[rows]))

@@ -111,6 +111,8 @@ class Measurements:
     """Contacts, rows of `points`, left out because their readings misfit; they have no silences."""
     delay: int = 0
     """Frames by which the readings were recorded too late; they have been moved."""
+    later: tuple[float, int] = (0.0, 0)
+    """Part of the contacts from which on they were later by more frames, and that number."""
     unread: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Contacts, rows of `points`, whose readings came outside the recording: without silences."""
     lost: float = 0.0

@@ -1,4 +1,5 @@
-"""A jump of all contacts in the course of a recording, as of a body that was mounted anew.
+"""A jump or a steady drift of all contacts in the course of a recording, as of a body that was
+mounted anew, or of a skin that creeps.
 
 Taxels that are touched before and after it show it: others are displaced with their contacts.
 """
@@ -46,43 +47,60 @@ relative decrease of the cost at which it has converged: its score tells, not it
 
 @dataclass(frozen=True)
 class Jump:
-    """A displacement of all contacts from one on."""
+    """A displacement of all contacts from one on, or one that grows from the first to the last."""
 
     score: float = 0.0
     """In standard deviations."""
     part: float = 0.0
-    """Part of the contacts before it."""
+    """Part of the contacts before it; NaN of a drift."""
     displacement: Array = field(default_factory=lambda: np.zeros(3))
     """(3,), m."""
 
     @property
     def shown(self) -> Array:
-        """The displacement (3,), m, where its score is above MIN_SCORE, else zero."""
-        return self.displacement if self.score > MIN_SCORE else np.zeros(3)
+        """The displacement (3,), m, where its score is above MIN_SCORE, else zero; of a drift its
+        rms over the course, as it is one of the first contacts' frame, or of the last ones'."""
+        size = 3**-0.5 if np.isnan(self.part) else 1.0
+        return size * self.displacement if self.score > MIN_SCORE else np.zeros(3)
 
     @property
     def departure(self) -> dict[str, float]:
         """Its score, by a name that says where it is."""
-        where = f"at {self.part:.0%} of the recording, as of a body mounted anew"
-        return {f"a jump of the contacts {where}": self.score}
+        if np.isnan(self.part):
+            size = 1e3 * float(np.linalg.norm(self.displacement))
+            words = f"a drift of the contacts by {size:.2g} mm, as of a skin or clamp that creeps"
+        else:
+            words = (
+                f"a jump of the contacts at {self.part:.0%} of the recording, as of a body mounted "
+                "anew"
+            )
+        return {words: self.score}
+
+    def course(self, contact: np.ndarray, count: int) -> Array:
+        """Parts (k,) of the displacement that `contact` (k,) of a recording of `count` have."""
+        if np.isnan(self.part):
+            return np.asarray(contact / count)
+        return np.asarray(contact >= round(self.part * count), dtype=float)
 
 
-def largest_jump(fitted: FittedReadings, places: ArrayLike | None = None) -> Jump:
-    """The most significant displacement of all contacts from one on; places: contacts at which it
-    may begin, by default PLACES."""
+def largest_jump(fitted: FittedReadings, parts: ArrayLike | None = None) -> Jump:
+    """The most significant displacement of all contacts from one on, or drift of them; parts: of
+    the contacts before it, NaN of a drift, by default at PLACES and a drift."""
     m, found = len(fitted.data.points), list[Jump]()
     moved = fitted.moved(np.broadcast_to(np.eye(3), (m, 3, 3)))
-    if places is None:
+    if parts is None:
         places = np.unique(np.linspace(0, m, PLACES + 2).astype(int)[1:-1])
-        places = places[places > 0]  # from the first contact on all move: that is no jump
-    for begin, slope, information in _displaced(fitted, moved, np.asarray(places)):
+        # from the first contact on all move: that is no jump
+        parts = np.append(places[places > 0] / m, np.nan)
+    jumps = [Jump(part=float(part)) for part in np.atleast_1d(parts)]
+    for jump, slope, information in _displaced(fitted, moved, jumps):
         value, vectors = np.linalg.eigh(information)
         seen = value > MIN_SHOWN * max(float(value[-1]), 1e-300)
         if not seen.any():
             continue
         along, value, vectors = (vectors.T @ slope)[seen], value[seen], vectors[:, seen]
         score = normal_score(float(np.sum(along**2 / value)), len(value))
-        found.append(Jump(score, begin / m, vectors @ (along / value)))
+        found.append(replace(jump, score=score, displacement=vectors @ (along / value)))
     best = Jump()
     for jump in sorted(found, key=lambda jump: -jump.score):
         if jump.score <= best.score:
@@ -102,8 +120,7 @@ def _shared_deviation(fitted: FittedReadings, moved: Array, jump: Jump) -> float
     with groups as in Liang and Zeger, Biometrika 73 (1986).
     """
     contact, m = fitted.readings.contact, len(fitted.data.points)
-    later = contact >= round(jump.part * m)
-    column = (later * (moved @ jump.displacement))[:, None]
+    column = (jump.course(contact, m) * (moved @ jump.displacement))[:, None]
     left, marginal = (part[:, 0] for part in fitted.unexplained(column))
     terms = -marginal * (fitted.rate + fitted.curvature * left)
     cell = np.floor(fitted.data.points / (GROUP * float(np.median(fitted.data.reach()))))
@@ -116,18 +133,19 @@ def _shared_deviation(fitted: FittedReadings, moved: Array, jump: Jump) -> float
 
 
 def _displaced(
-    fitted: FittedReadings, moved: Array, places: np.ndarray
-) -> Iterator[tuple[int, Array, Array]]:
-    """Each place, with derivative (3,) and information (3, 3) of displacements from there on; moved
+    fitted: FittedReadings, moved: Array, jumps: list[Jump]
+) -> Iterator[tuple[Jump, Array, Array]]:
+    """Each jump, with derivative (3,) and information (3, 3) of displacements in its course; moved
     (k, 3): derivatives of the readings in displacements of their contacts."""
-    for begin in range(0, len(places), TOGETHER):
-        few = places[begin : begin + TOGETHER]
-        later = fitted.readings.contact[:, None] >= few
-        columns = (later[:, :, None] * moved[:, None]).reshape(-1, 3 * len(few))
+    contact, m = fitted.readings.contact, len(fitted.data.points)
+    for begin in range(0, len(jumps), TOGETHER):
+        few = jumps[begin : begin + TOGETHER]
+        course = np.stack([jump.course(contact, m) for jump in few], axis=1)
+        columns = (course[:, :, None] * moved[:, None]).reshape(-1, 3 * len(few))
         slope, information = fitted.shared(columns)
-        for k, place in enumerate(few):
+        for k, jump in enumerate(few):
             at = slice(3 * k, 3 * k + 3)
-            yield place, slope[at], information[at, at]
+            yield jump, slope[at], information[at, at]
 
 
 def jump_of(estimator: JointEstimator, fitted: FittedReadings) -> Jump:
@@ -139,9 +157,8 @@ def jump_of(estimator: JointEstimator, fitted: FittedReadings) -> Jump:
     found = largest_jump(fitted)
     if found.score <= MIN_SCORE:
         return found
-    place = round(found.part * len(estimator.data.points))
     everything = fitted_readings(estimator, np.ones_like(estimator.likelihood.readings.weight))
-    return replace(found, displacement=largest_jump(everything, [place]).displacement)
+    return replace(found, displacement=largest_jump(everything, found.part).displacement)
 
 
 def jump_by_outliers(estimator: JointEstimator) -> Jump:

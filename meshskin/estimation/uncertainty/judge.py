@@ -173,19 +173,34 @@ def _noise(data: Measurements, calibration: Calibration) -> list[Finding]:
 
 def _late(data: Measurements) -> list[Finding]:
     """Readings that fit the contacts some frames earlier or later better."""
+    part, change = data.later
+    if change:
+        words = (
+            f"the readings are {_frames(data.delay)}, and from {part:.0%} of the recording on "
+            f"{_frames(data.delay + change)}: moved back by that, the contacts that each taxel "
+            "responds to lie closer together, and so they were used; look for frames that were "
+            "lost or doubled there, and correct the times of the readings"
+        )
+        return [(DOUBT, words)]
     if not data.delay:
         return []
     moved, _ = delay.displacements(data, data.delay)
     path = float(np.median(np.linalg.norm(moved, axis=1)))
-    count = "1 frame" if abs(data.delay) == 1 else f"{abs(data.delay)} frames"
     words = (
-        f"the readings are {count} too {'late' if data.delay > 0 else 'early'}, in which the "
+        f"the readings are {_frames(data.delay)}, in which the "
         f"contact moves {1e3 * path:.2g} mm: moved back by that, the contacts that each taxel "
         "responds to lie closer together, and so they were used; parts of a frame are counted in "
         "the standard deviations; correct the times of the readings, unless the skin is dragged "
         "along, which looks alike"
     )
     return [(DOUBT, words)]
+
+
+def _frames(late: int) -> str:
+    if not late:
+        return "in time"
+    count = "1 frame" if abs(late) == 1 else f"{abs(late)} frames"
+    return f"{count} too {'late' if late > 0 else 'early'}"
 
 
 def _modulus(data: Measurements, calibration: Calibration) -> list[Finding]:

@@ -1,6 +1,9 @@
 """Taxels that answer strongly at a second place: ids exchanged during the recording, or two logs in
 one. Where the body was pressed in one order, most taxels answer in one part of the recording only,
 and nothing but the few that answer in both tells that the others have wrong ids.
+
+A second place that is far is one whatever else the taxel does. A nearer one is a second place where
+several taxels have one from the same time on: the estimate takes their readings there for outlying.
 """
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.arrays import Array
+from ...core.arrays import Array, spreads_by_group
 from ..calibration import Calibration
 from ..data.measurements import Measurements
 from ..trilateration.coactivation import NEAR
@@ -29,36 +32,103 @@ taxel with a short circuit has would fill the memory; a share of 0.8 of 500 is k
 MAX_TAXELS = 0.02, 0.05
 """Share of the taxels that answer at a second place from which it is a doubt, and a failure: where
 a twentieth answers at both, most of the others have answered only at the wrong one."""
+DIVIDED, GATHERED = 3.0, 1.5
+"""Distance of the middles of a taxel's strong readings before and after a time, and their own
+spread, rms, in that of a usual taxel's strong readings, from which, and up to which, they are at
+two places. Strong readings at one place lie in a disc, which is 2.83 wide in this unit."""
+EACH = 2
+"""Strong readings, at least, before and after: one may be corrupt."""
 
 
 def findings(data: Measurements, calibration: Calibration) -> list[Finding]:
     """The verdict on second places; data: with the distant readings."""
-    taxels = second_places(data, calibration.positions)
-    placed = int(np.isfinite(calibration.positions).all(axis=1).sum())
-    doubt, failure = (share * placed for share in MAX_TAXELS)
-    if len(taxels) <= doubt:
+    found = _Found(data, calibration)
+    if found.share <= MAX_TAXELS[0]:
         return []
-    ids = ", ".join(map(str, calibration.ids[taxels[:3]]))
+    ids = ", ".join(map(str, calibration.ids[found.taxels[:3]]))
     words = (
-        f"{len(taxels)} of {placed} taxels answer strongly at a second place (limit "
-        f"{MAX_TAXELS[0]:.0%}; ids {ids}{' ...' if len(taxels) > 3 else ''}): their ids were "
-        "exchanged during the recording, and others have wrong ids, too, or the skin was pressed "
-        "at two places at once; calibrate parts of the recording one by one"
+        f"{len(found.taxels)} of {found.of} taxels answer strongly at a second place (limit "
+        f"{MAX_TAXELS[0]:.0%}; ids {ids}{' ...' if len(found.taxels) > 3 else ''})"
+        f"{found.time}: their ids were exchanged during the recording, and others have wrong ids, "
+        "too, or their readings come late from then on, or the skin was pressed at two places at "
+        "once; calibrate parts of the recording one by one"
     )
-    return [(FAIL if len(taxels) > failure else DOUBT, words)]
+    return [(FAIL if found.share > MAX_TAXELS[1] else DOUBT, words)]
 
 
 def widened(data: Measurements, calibration: Calibration) -> Calibration:
     """The calibration with the variance of a place anywhere among the contacts added to that of
-    every taxel, where second places are a failure: those that answer at one place only may have
-    wrong ids, too."""
-    placed = int(np.isfinite(calibration.positions).all(axis=1).sum())
-    if len(second_places(data, calibration.positions)) <= MAX_TAXELS[1] * placed:
+    the taxels, where second places are a failure: those that answer at one place only may have
+    wrong ids, too. Taxels that answer at one place before and after the time are left as they are.
+    """
+    found = _Found(data, calibration)
+    if found.share <= MAX_TAXELS[1]:
         return calibration
     covariances = calibration.covariances.copy()
     anywhere = float(np.sum(np.ptp(data.points, axis=0) ** 2)) / 12
-    covariances[:, :3, :3] += anywhere * np.eye(3)
+    covariances[~found.confirmed, :3, :3] += anywhere * np.eye(3)
     return replace(calibration, covariances=covariances)
+
+
+class _Found:
+    """The second places of a calibration, and of how many taxels that would show one."""
+
+    def __init__(self, data: Measurements, calibration: Calibration) -> None:
+        far = second_places(data, calibration.positions)
+        exchanged, both, part = exchanged_taxels(data)
+        self.taxels, self.time = far, ""
+        self.of = int(np.isfinite(calibration.positions).all(axis=1).sum())
+        self.confirmed = np.zeros(len(data.ids), dtype=bool)
+        if len(exchanged) > 1:
+            self.taxels, self.of = np.union1d(far, exchanged), len(np.union1d(far, both))
+            self.time = f" from {part:.0%} of the recording on, of those that answer before it, too"
+            self.confirmed[np.setdiff1d(both, self.taxels)] = True
+        self.share = len(self.taxels) / max(self.of, 1)
+
+
+def exchanged_taxels(data: Measurements) -> tuple[np.ndarray, np.ndarray, float]:
+    """Rows of the taxels that answer strongly at one place before a time and at another after it,
+    rows of all that answer strongly before and after it, and the part of the contacts before the
+    time at which most do. A taxel's strong readings are divided where they then spread least."""
+    largest, n = np.zeros(len(data.ids)), len(data.ids)
+    np.maximum.at(largest, data.taxel, data.pressure)
+    strong = np.flatnonzero(data.pressure > STRONG * largest[data.taxel])
+    strong = strong[np.lexsort((data.contact[strong], data.taxel[strong]))]
+    where = data.points[data.contact[strong]]
+    contact, taxel = data.contact[strong], data.taxel[strong]
+    count = np.bincount(taxel, minlength=n)
+    square = spreads_by_group(where, taxel) * count[count > 0] / (count[count > 0] - 1 + 1e-9)
+    if not (count >= MIN_READINGS).any():
+        return np.empty(0, dtype=int), np.empty(0, dtype=int), 0.0
+    usual, ends = np.median(square[count[count > 0] >= MIN_READINGS]) ** 0.5, np.cumsum(count)
+    between = np.zeros((n, 2), dtype=int)
+    for t in np.flatnonzero(count >= 2 * EACH):
+        rows = slice(ends[t] - count[t], ends[t])
+        between[t] = _division(where[rows], contact[rows], usual)
+    last, first = between.T  # contact at one place, and at the other; of others both are 0
+    at = max(last.tolist(), key=lambda at: int(np.sum((last <= at) & (first > at))))
+    exchanged = np.flatnonzero((last <= at) & (first > at))
+    before, after = (np.bincount(taxel[x], minlength=n) for x in (contact <= at, contact > at))
+    both = np.minimum(before, after) >= EACH
+    both[exchanged] = True
+    return exchanged, np.flatnonzero(both), float(at + 1) / max(len(data.points), 1)
+
+
+def _division(where: Array, contact: np.ndarray, usual: float) -> tuple[int, int]:
+    """The contacts before and after which readings at (q, 3), m, in the order of their contacts
+    (q,), are at two places; (0, 0) where they are not. usual: spread, m, at one place."""
+    k = np.arange(EACH, len(where) - EACH + 1)
+    off = where - where.mean(axis=0)
+    sums, squares = np.cumsum(off, axis=0), np.cumsum(np.sum(off**2, axis=1))
+    number = np.stack([k, len(where) - k])
+    means = np.stack([sums[k - 1], -sums[k - 1]]) / number[:, :, None]
+    square = np.stack([squares[k - 1], squares[-1] - squares[k - 1]]) / number
+    spread = square - np.sum(means**2, axis=2)
+    best = int(np.argmin(np.sum(number * spread, axis=0)))
+    apart = np.linalg.norm(means[0, best] - means[1, best])
+    if apart < DIVIDED * usual or spread[:, best].max() > (GATHERED * usual) ** 2:
+        return 0, 0
+    return int(contact[k[best] - 1]), int(contact[k[best]])
 
 
 def second_places(data: Measurements, positions: Array) -> np.ndarray:

@@ -123,6 +123,36 @@ def test_one_frame_shows_in_strokes_both_ways(world):
         assert gather(late, world.belief(0.01, 0.05)).delay == frames
 
 
+@pytest.mark.parametrize(("before", "after"), [(0, 3), (2, -1)])
+def test_a_delay_that_changes_in_the_course_of_a_recording(world, before, after):
+    """Of contacts in random order, at 60 % of them."""
+    whole = world.record()
+    m = len(whole.time)
+    order = np.random.default_rng(0).permutation(m)
+    contacts = whole.contacts.take(pa.array(order)).set_column(0, "time", pa.array(whole.time))
+    right = np.argsort(order)[whole.reading_contact]
+
+    def recording(row, kept):
+        readings = whole.readings.filter(pa.array(kept))
+        time = pa.array(whole.time[row[kept]])
+        return Recording(contacts, readings.set_column(0, "time", time), {})
+
+    row = right + np.where(right < 0.6 * m, before, after)
+    clear = (np.abs(right - 0.6 * m) > abs(after - before)) & (row >= 0) & (row < m)
+    truth = gather(recording(right, clear), world.belief())
+    found = gather(recording(row, clear), world.belief())
+    assert truth.later == (0.0, 0)
+    assert (found.delay, found.later[1]) == (before, after - before)
+    assert abs(found.later[0] - 0.6) < 0.02
+    pairs = [
+        set(zip(d.contact.tolist(), d.taxel.tolist(), d.pressure.tolist(), strict=True))
+        for d in (found, truth)
+    ]
+    assert len(pairs[0] - pairs[1]) < 0.02 * len(pairs[1])
+    assert len(pairs[1] - pairs[0]) < 0.03 * len(pairs[1])
+    assert len(found.unread) >= abs(before)
+
+
 def test_patches_that_are_dragged_along_are_not_late(world):
     """By 0.7 mm at 0.5 mm a frame, which one frame explains nearly as well."""
     whole = world.record(0.01, 0.05)

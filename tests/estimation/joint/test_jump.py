@@ -15,8 +15,13 @@ from meshskin.geometry.region import Cap
 def fitted(count, begin):
     """Readings, one for each of `count` contacts, which those from `begin` on displace by 1 mm
     along x, under a standard deviation of 10 um, and the others by none."""
+    return displaced(np.where(np.arange(count) >= begin, 100.0, 0.0))
+
+
+def displaced(residual):
+    """Readings with residuals, one for each contact, of which 100 are 1 mm along x."""
+    count = len(residual)
     moved = np.tile(np.eye(3), (count, 1)).reshape(count, 3, 3)[:, 0] * 1e5
-    residual = np.where(np.arange(count) >= begin, 100.0, 0.0)
     return SimpleNamespace(
         data=SimpleNamespace(points=np.zeros((count, 3)), reach=lambda: np.ones(count)),
         rate=-residual,
@@ -49,8 +54,15 @@ def test_the_score_of_several_directions_is_that_of_one_as_improbable():
 
 
 def test_a_jump_is_estimated_at_the_place_that_is_given():
-    found = largest_jump(fitted(160, 80), [120])
+    found = largest_jump(fitted(160, 80), 0.75)
     assert found.part == 0.75
+
+
+def test_a_displacement_that_grows_is_a_drift():
+    found = largest_jump(displaced(100.0 * np.arange(160) / 160))
+    assert np.isnan(found.part)
+    np.testing.assert_allclose(found.displacement, [1e-3, 0.0, 0.0], atol=1e-12)
+    assert "a drift of the contacts by 1 mm" in next(iter(found.departure))
 
 
 def lanes(scene, seed):
@@ -67,16 +79,40 @@ def lanes(scene, seed):
     return made.contacts, made.readings, axes[0]
 
 
-def test_a_jump_that_outlying_readings_hide_is_named_and_counted():
-    """Contacts of the later half 1 mm along a capsule: the few taxels that are touched before and
-    after it fit one half, and the readings of the other half are left out as outlying."""
+def on_a_capsule():
+    """A scene of 60 taxels on a capsule."""
     base, body = ms.Scene.load("sphere_noisy"), ms.Body.capsule(radius=0.04, length=0.15)
     region = Cap(direction=(1.0, 0.3, 0.2))
     skin = ms.Skin.cover(body, spacing=6e-3, count=60, seed=2, region=region, disc_radius=2e-3)
-    scene = base.with_(
+    return base.with_(
         body=body, skin=skin, contact="elliptic", material=ms.Material(young=0.4e6),
         indenter=ms.Indenter.sphere(0.008),
     )  # fmt: skip
+
+
+def test_contacts_that_drift_by_1_mm_on_the_surface():
+    """Each taxel is touched within a short time and moves with its contacts, which lie on the
+    surface: neither residuals nor distances show it, the response misfits by 1 %."""
+    scene = on_a_capsule()
+    contacts, readings, along = lanes(scene, 1)
+    log = ms.Recording(contacts, readings, {})
+    moved = log.points + 1e-3 * np.arange(600)[:, None] / 600 * along
+    log = log.with_columns(points=scene.body.closest(moved).point)
+    found = ms.calibrate(log, scene.belief(noise_sigma=None))
+    assert found.verdict is not None
+    assert found.verdict.level == "DOUBT"
+    assert any("a drift of the contacts by " in words for words in found.verdict.reasons)
+    error = np.linalg.norm(found.positions - scene.skin.positions, axis=1)
+    assert np.isfinite(error).sum() == 60
+    stated = np.mean(found.position_sigma**2) / np.mean(error**2)
+    assert 0.8 < stated**0.5 < 1.6
+
+
+def test_a_jump_that_outlying_readings_hide_is_named_and_counted():
+    """Contacts of the later half 1 mm along a capsule: the few taxels that are touched before and
+    after it fit one half, and the readings of the other half are left out as outlying."""
+    scene = on_a_capsule()
+    skin = scene.skin
     contacts, readings, along = lanes(scene, 1)
     for axis, size in zip(("px", "py", "pz"), 1e-3 * along, strict=True):
         values = contacts[axis].to_numpy() + size * (np.arange(600) >= 300)

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import meshskin as ms
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.uncertainty.second_places import findings, second_places
+from meshskin.estimation.uncertainty.second_places import exchanged_taxels, findings, second_places
+from meshskin.geometry.region import Cap
 from tests.estimation.conftest import World, changed
 
 
@@ -81,9 +83,50 @@ def test_the_level_is_that_of_the_share_of_taxels(wide):
     sound = calibrate(recording, belief)
     assert findings(gather(recording, belief), sound) == []
     few = gather(exchanged(wide, recording, 0.08), belief)
-    level, words = findings(few, sound)[0]
-    taxels = second_places(few, wide.truth)
+    order = np.random.default_rng(0).permutation(len(few.points))
+    mixed = replace(few, contact=order[few.contact], points=few.points[np.argsort(order)])
+    level, words = findings(mixed, sound)[0]
+    taxels = second_places(mixed, wide.truth)
     assert 0.02 * len(wide.ids) < len(taxels) <= 0.08 * len(wide.ids)
     assert level == ("FAIL" if len(taxels) > 0.05 * len(wide.ids) else "DOUBT")
     assert f"{len(taxels)} of {len(wide.ids)} taxels" in words
     assert str(wide.ids[taxels[0]]) in words
+    taxels, both, _ = exchanged_taxels(few)  # of the few that answer in both halves
+    assert 0.05 * len(both) < len(taxels) <= 0.08 * len(wide.ids)
+    level, words = findings(few, sound)[0]
+    assert level == "FAIL"
+    assert "recording on" in words
+
+
+def swept(skin, body, seed):
+    """A log of contacts in lanes 2.5 mm apart, back and forth."""
+    rng = np.random.default_rng(seed)
+    near = skin.positions[rng.integers(len(skin), size=600)]
+    points = body.closest(near + rng.uniform(-5e-3, 5e-3, (600, 3))).point
+    lane = np.floor(points[:, 0] / 2.5e-3).astype(int)
+    return points[np.lexsort((points[:, 1] * np.where(lane % 2, 1, -1), lane))]
+
+
+def test_ids_of_a_module_that_are_off_by_one_from_midway():
+    """In lanes few taxels answer before and after it; the second places are next to the first."""
+    base = ms.Scene.load("sphere_noisy")
+    region = Cap(direction=(0.0, 0.0, 1.0))
+    skin = ms.Skin.cover(base.body, spacing=6e-3, count=40, seed=1, region=region)
+    scene = base.with_(body=base.body, skin=skin)
+    made = ms.press(scene, swept(skin, base.body, 1), force=3.0, seed=1)
+    sound, belief = ms.Recording(made.contacts, made.readings, {}), scene.belief(noise_sigma=None)
+    assert [len(rows) for rows in exchanged_taxels(gather(sound, belief))[:2]] == [0, 0]
+    ids, late = sound.reading_taxel, sound.reading_contact >= 300
+    wrong = np.where(late & (ids >= 10) & (ids < 20), 10 + (ids - 9) % 10, ids)
+    log = changed(sound, taxel=wrong.astype(np.int32))
+    taxels, both, part = exchanged_taxels(gather(log, belief))
+    assert len(taxels) >= 2
+    assert set(skin.ids[taxels]) <= set(range(10, 20))
+    assert set(taxels) <= set(both)
+    assert 0.35 < part < 0.65
+    found = ms.calibrate(log, belief)
+    error = np.linalg.norm(found.positions - skin.positions, axis=1)
+    assert np.nanmax(error) > 5e-3
+    assert not np.any((error > 0.3e-3) & (error > 5 * found.position_sigma))
+    assert found.verdict.level == "FAIL"
+    assert any("at a second place" in why for why in found.verdict.reasons)
