@@ -2,12 +2,12 @@
 
     python studies/link_meshes.py FOLDER ... --out links.jsonl [--skins 3] [--only UR3E] [--step 8]
 
-FOLDER holds STL files, such as the meshes of the example-robot-data wheel (extra `robots`). Every
-mesh gets --skins skins of 60 taxels in caps of random directions; --only takes the paths that
-contain a word, --step 8 every eighth mesh, --from 3 from the third on; --first-seed 4 draws
-other skins. Rows are written as they
-come; a repeated call skips those that --out holds, so that a study can be run in slices. A figure
-beside it (links.png) has the errors of the skins by verdict.
+FOLDER holds mesh files (STL, OBJ, PLY, OFF, GLB, glTF, DAE), such as the meshes of the
+example-robot-data wheel (extra `robots`); single files can be named, too. Every mesh gets --skins
+skins of 60 taxels in caps of random directions; --only takes the paths that contain a word,
+--step 8 every eighth mesh, --from 3 from the third on; --first-seed 4 draws other skins. Rows are
+written as they come; a repeated call skips those that --out holds, so that a study can be run in
+slices. A figure beside it (links.png) has the errors of the skins by verdict.
 --lane-mm 4 leaves taxels that one lane touches only, where two positions fit; with --unknown-noise
 the belief does not know the noise.
 Small links (below 60 mm) are pressed with 1 N on an indenter of 2 mm (1.2 MPa, where the contact
@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 from dots import dots
-from setups import load_link, pressed
+from setups import load_link, mesh_files, pressed
 
 import meshskin as ms
 from meshskin.core.errors import MeshskinError
@@ -74,7 +74,7 @@ def main() -> int:
     parser.add_argument("--unknown-noise", action="store_true")
     options = parser.parse_args()
     chosen = Conditions(1e-3 * options.lane_mm, not options.unknown_noise)
-    files = [file for file in meshes(options.folders) if options.only in str(file)]
+    files = [file for file in mesh_files(options.folders) if options.only in str(file)]
     seeds = range(options.first_seed, options.first_seed + options.skins)
     rows = run(files[options.first - 1 :: options.step], seeds, options.out, chosen)
     print(summary(rows))
@@ -104,12 +104,6 @@ def run(
                     print(line(found), flush=True)
                 rows.append(found)
     return rows
-
-
-def meshes(folders: list[Path]) -> list[Path]:
-    """The STL files below some folders."""
-    every = {file for folder in folders for file in folder.rglob("*")}
-    return sorted(file for file in every if file.suffix.lower() == ".stl")
 
 
 def row(file: Path, seed: int, conditions: Conditions = Conditions()) -> dict[str, Any]:

@@ -15,7 +15,8 @@ count as smooth, larger ones as edges, and no contact patch may overlap an edge.
 
 With --full, every link mesh of DATA and of the example-robot-data wheel (extra `robots`), closed or
 open, gets three skins as in link_meshes.py; the taxels that are confidently wrong are counted, and
-the rows written to link_meshes.jsonl in --out, where a repeated call continues.
+the rows written to link_meshes.jsonl in --out, where a repeated call continues. DATA may then be
+any folder of meshes: of the three bodies, those that it holds are measured.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from xml.etree import ElementTree
 
 import link_meshes
 import numpy as np
-from setups import pressed
+from setups import mesh_files, pressed
 
 import meshskin as ms
 from meshskin.core.atomic_io import write_json
@@ -66,19 +67,23 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--out", type=Path, default=Path("figures"))
-    parser.add_argument("--only", nargs="+", choices=BODIES, default=list(BODIES))
+    parser.add_argument("--only", nargs="+", choices=BODIES)
     parser.add_argument("--full", action="store_true")
     options = parser.parse_args()
+    held = [name for name, file in MESHES.items() if (options.data / file).is_file()]
+    if not (held or options.only or options.full):
+        parser.error(f"{options.data} holds none of {', '.join(MESHES)}: give --full")
     rows, maps = [], {}
-    for name in options.only:
+    for name in options.only or held:
         row, maps[name] = measure_body(name, options.data, options.full)
         rows.append(row)
         print(row_text(row), flush=True)
-    write_json(options.out / "real_bodies.json", rows)
-    draw_bodies(maps, options.out)
+    if rows:
+        write_json(options.out / "real_bodies.json", rows)
+        draw_bodies(maps, options.out)
     good = all(row["ratio"] <= BOUND for row in rows)
     if options.full:
-        files = link_meshes.meshes([options.data]) + wheel_meshes()
+        files = mesh_files([options.data]) + wheel_meshes()
         links = link_meshes.run(files, SEEDS, options.out / "link_meshes.jsonl")
         print(link_meshes.summary(links))
         good &= not any(link_meshes.is_defect(row) for row in links)

@@ -6,19 +6,28 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 import meshskin as ms
 from meshskin.core.errors import MeshError
+from meshskin.geometry.mesh import mesh_file
 
 LARGEST_IN_METRES = 5.0
 """Extent of a file above which its unit is mm."""
 
 
+def mesh_files(places: list[Path]) -> list[Path]:
+    """The mesh files among some paths, and below those that are folders."""
+    files = {file for place in places for file in (place.rglob("*") if place.is_dir() else [place])}
+    return sorted(file for file in files if file.suffix.lower()[1:] in mesh_file.FORMATS)
+
+
 def load_link(file: Path) -> ms.Body:
-    """The body of a mesh file, in m or mm by its size, closed or open."""
-    extent = float(np.max(trimesh.load(file, process=False).extents))
-    units = "mm" if extent > LARGEST_IN_METRES else "m"
+    """The body of a mesh file, closed or open, in the unit that its format says, else in m or mm by
+    its size."""
+    units = None
+    if file.suffix.lower()[1:] not in ("dae", *mesh_file.METRES):
+        extent = np.ptp(mesh_file.read(file, 1.0).vertices, axis=0)
+        units = "mm" if extent.max() > LARGEST_IN_METRES else "m"
     try:
         return ms.Body.load(file, units=units)
     except MeshError:

@@ -2,13 +2,14 @@
 
     python studies/skinned_links.py MESH ... --radius-mm 8 --force-n 3 --out skinned.jsonl
 
-Each mesh (STL) is covered by --taxels taxels all over, as it is and as `Body.skinned` gives it
-(--thickness-mm, --feature-mm), moved by hand over the indenter in lanes (--lane-mm), with
-1 % noise, and calibrated. Points spread evenly over the mesh are the measure, the same for both: a
-point counts as visible if one of 64 directions leads away from it, and as fitting if a sphere of
-the indenter's radius that touches it there overlaps no other point of the mesh by 0.1 mm (a test by
-dense samples, independent of the planner). It counts as calibrated if the taxel nearest to it on
-its side is; on a skin only where the skin bridges it by at most --bridge-mm.
+MESH is a mesh file (STL, OBJ, PLY, OFF, GLB, glTF, DAE), or a folder that holds some. Each is
+covered by --taxels taxels all over, as it is and as `Body.skinned` gives it (--thickness-mm,
+--feature-mm), moved by hand over the indenter in lanes (--lane-mm), with 1 % noise, and calibrated.
+Points spread evenly over the mesh are the measure, the same for both: a point counts as visible if
+one of 64 directions leads away from it, and as fitting if a sphere of the indenter's radius that
+touches it there overlaps no other point of the mesh by 0.1 mm (a test by dense samples, independent
+of the planner). It counts as calibrated if the taxel nearest to it on its side is; on a skin only
+where the skin bridges it by at most --bridge-mm.
 
 The table lists the shares: visible points that fit; fitting points that are calibrated; visible
 points that are calibrated; the largest error of a calibrated taxel, mm, and how many are
@@ -35,7 +36,7 @@ import trimesh
 from dots import dots
 from link_meshes import ERROR, SIGMAS
 from scipy.spatial import cKDTree
-from setups import load_link, pressed
+from setups import load_link, mesh_files, pressed
 
 import meshskin as ms
 from meshskin.core.errors import MeshskinError
@@ -72,7 +73,7 @@ def main() -> int:
     rows = [json.loads(text) for text in known]
     done = {(row["file"], row["kind"]) for row in rows}
     with options.out.open("a", encoding="utf-8") as out:
-        for file in options.meshes:
+        for file in mesh_files(options.meshes):
             kinds = [kind for kind in options.kind if (str(file), kind) not in done]
             for row in measure_mesh(file, kinds, options) if kinds else ():
                 rows.append(row)
@@ -91,7 +92,7 @@ def main() -> int:
 
 def summary(rows: list[dict[str, Any]]) -> str:
     """Medians over the meshes of one kind, pooled areas, and what is lost, the largest first; a
-    refused mesh counts as not calibrated."""
+    surface that is refused counts as not calibrated, a mesh that cannot be a body as no area."""
     if not rows:
         return "none"
     fit = np.array([row.get("fit_calibrated", 0.0) for row in rows])
@@ -100,20 +101,27 @@ def summary(rows: list[dict[str, Any]]) -> str:
     for row in rows:
         lost.update(row.get("lost_mm2", {"refused": row["fit_mm2"]}))
     wrong = sum(len(row.get("wrong", ())) for row in rows)
-    pooled = 1.0 - lost.total() / area
+    pooled = 1.0 - lost.total() / max(area, 1)
     text = (
         f"{rows[0]['kind']}, {len(rows)} meshes: medians {np.median(fit):.0%} of what fits, "
         f"{np.median(seen):.0%} of what is visible; pooled {pooled:.0%} of what fits; "
         f"{GOAL:.0%} of what fits on {(fit >= GOAL).sum()} meshes; {wrong} taxels wrong"
     )
-    return text + "".join(f"\n    {part / area:6.1%} {why}" for why, part in lost.most_common())
+    return text + "".join(
+        f"\n    {part / max(area, 1):6.1%} {why}" for why, part in lost.most_common()
+    )
 
 
 def measure_mesh(
     file: Path, kinds: list[str], options: argparse.Namespace
 ) -> Iterator[dict[str, Any]]:
     """The rows of one mesh, by kind."""
-    body = load_link(file)
+    try:
+        body = load_link(file)
+    except MeshskinError as refusal:
+        row = {"file": str(file), "mesh": file.stem, "fits": 0.0, "fit_mm2": 0}
+        yield from (row | {"kind": kind, "refused": str(refusal)} for kind in kinds)
+        return
     radius = 1e-3 * options.radius_mm
     points, normals = even_points(body.mesh)
     seen = visible(body.mesh, points, normals)
@@ -121,7 +129,7 @@ def measure_mesh(
     feature = 1.5 * radius if options.feature_mm is None else 1e-3 * options.feature_mm
     thickness, cell = 1e-3 * options.thickness_mm, 1e6 * body.mesh.area / len(points)
     for kind in kinds:
-        row: dict[str, Any] = {"file": str(file), "mesh": file.stem, "kind": kind}
+        row = {"file": str(file), "mesh": file.stem, "kind": kind}
         row |= {"fits": share(fits, seen), "fit_mm2": cell * int((seen & fits).sum())}
         begin = process_time()
         try:

@@ -12,8 +12,9 @@ def study(script):
 
 
 def test_meshes_are_calibrated_or_refused(study, monkeypatch, tmp_path, capsys):
-    trimesh.creation.icosphere(subdivisions=4, radius=80.0).export(tmp_path / "ball.stl")
+    trimesh.creation.icosphere(subdivisions=4, radius=80.0).export(tmp_path / "ball.obj")
     trimesh.creation.icosphere(subdivisions=4, radius=0.001).export(tmp_path / "tiny.STL")
+    (tmp_path / "notes.txt").write_text("no mesh")
     monkeypatch.setattr(study, "TAXELS", 12)
     out = tmp_path / "links.jsonl"
     monkeypatch.setattr("sys.argv", ["link_meshes", str(tmp_path), "--out", str(out)])

@@ -60,23 +60,45 @@ void winding(int64_t leaves, int64_t size, const Cluster *node, const double *co
     }
 }
 
-/* Adds to `total` (n,) the parts due to border edges (k, 6), each extruded to infinity along its
-   direction (k, 3): the limit of `half_angle` for a corner that is infinitely far away. */
-void extruded(int64_t k, const double *edge, const double *direction, int64_t n,
+typedef struct {
+    double centre[3], area[3], direction[3], reach; /* area: vector sum of the caps of the loop */
+} Loop;
+
+/* The part of a border edge (6,), extruded to infinity along a direction (3,), times 2 pi: the
+   limit of `half_angle` for a corner that is infinitely far away. */
+static double strip(const double *edge, const double *d, const double *p)
+{
+    const double *tail = edge, *head = edge + 3;
+    double a[3], b[3]; /* against the mesh */
+    for (int x = 0; x < 3; x++) a[x] = head[x] - p[x], b[x] = tail[x] - p[x];
+    double cross[3] = {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
+                       a[0] * b[1] - a[1] * b[0]};
+    double la = sqrt(dot(a, a)), lb = sqrt(dot(b, b));
+    return atan2(dot(cross, d), la * lb + dot(a, b) + dot(b, d) * la + dot(a, d) * lb);
+}
+
+/* Adds to `total` (n,) the parts due to the loops of the border, of which loop j has the edges from
+   first[j] to first[j + 1]. A loop's extrusion and its caps enclose a cylinder without an end:
+   outside of it, the part is that of the caps, and far from it that of their vector area. */
+void extruded(int64_t loops, const Loop *loop, const int64_t *first, const double *edge, int64_t n,
               const double *points, double *total)
 {
     for (int64_t i = 0; i < n; i++) {
         const double *p = points + 3 * i;
-        double sum = 0.0;
-        for (int64_t e = 0; e < k; e++) {
-            const double *tail = edge + 6 * e, *head = tail + 3, *d = direction + 3 * e;
-            double a[3], b[3]; /* against the mesh */
-            for (int x = 0; x < 3; x++) a[x] = head[x] - p[x], b[x] = tail[x] - p[x];
-            double cross[3] = {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
-                               a[0] * b[1] - a[1] * b[0]};
-            double la = sqrt(dot(a, a)), lb = sqrt(dot(b, b));
-            sum += atan2(dot(cross, d), la * lb + dot(a, b) + dot(b, d) * la + dot(a, d) * lb);
+        double near = 0.0, far = 0.0;
+        for (int64_t j = 0; j < loops; j++) {
+            const Loop *c = loop + j;
+            double q[3] = {c->centre[0] - p[0], c->centre[1] - p[1], c->centre[2] - p[2]};
+            double away2 = dot(q, q), ahead = -dot(q, c->direction);
+            double aside2 = ahead > 0.0 ? away2 - ahead * ahead : away2;
+            if (aside2 > c->reach * c->reach) {
+                far += dot(c->area, q) / (away2 * sqrt(away2));
+            } else {
+                for (int64_t e = first[j]; e < first[j + 1]; e++) {
+                    near += strip(edge + 6 * e, c->direction, p);
+                }
+            }
         }
-        total[i] += sum / (2.0 * PI);
+        total[i] += near / (2.0 * PI) + far / (4.0 * PI);
     }
 }

@@ -49,7 +49,7 @@ class WindingNumber:
     """
 
     def __init__(self, vertices: Array, faces: Index, close: bool = True) -> None:
-        self.border, self.direction, caps = _border(vertices, faces)
+        self.border, self.direction, caps, self._loops, self._first = _border(vertices, faces)
         self.closed = not len(self.border)
         """whether there is no border"""
         triangles = np.concatenate([vertices[faces], caps])
@@ -63,6 +63,7 @@ class WindingNumber:
         self._least = -np.inf if close else 0.0
         if abs(volume) > least or not close:
             self.border, self.direction = np.zeros((0, 2, 3)), np.zeros((0, 3))
+            self._loops = self._loops[:0]
         if abs(volume) <= least or not close:
             triangles = vertices[faces]
         self.corners = np.ascontiguousarray(triangles[:, :: self.outward])
@@ -82,12 +83,14 @@ class WindingNumber:
     def _by_clusters(self, built: ctypes.CDLL, points: Array) -> Array:
         p, out = np.ascontiguousarray(points, dtype=float), np.empty(len(points))
         leaves = len(self._nodes) // 2
-        counts = (leaves, len(self._leaves) // leaves, len(self.border), len(p))
-        leaves_, size, edges, n = (ctypes.c_int64(c) for c in counts)
-        arrays = (self._nodes, self._leaves, self.border, self.direction, p, out)
-        nodes, triangles, border, ways, at, total = (ctypes.c_void_p(a.ctypes.data) for a in arrays)
+        counts = (leaves, len(self._leaves) // leaves, len(self._loops), len(p))
+        leaves_, size, count, n = (ctypes.c_int64(c) for c in counts)
+        arrays = (self._nodes, self._leaves, self._loops, self._first, self.border, p, out)
+        nodes, triangles, loops, first, border, at, total = (
+            ctypes.c_void_p(a.ctypes.data) for a in arrays
+        )
         built.winding(leaves_, size, nodes, triangles, n, at, total)
-        built.extruded(edges, border, ways, n, at, total)
+        built.extruded(count, loops, first, border, n, at, total)
         return out
 
     def _exact(self, points: Array) -> Array:
@@ -128,11 +131,13 @@ def library() -> ctypes.CDLL | None:
     return codegen.compile_library("winding numbers", text)
 
 
-def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
-    """Ends (k, 2, 3), m, of border half-edges, directions (k, 3) of extrusion, and caps (k, 3, 3).
+def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array, Array, Index]:
+    """Ends (k, 2, 3), m, of border half-edges, directions (k, 3) of extrusion, caps (k, 3, 3), and
+    the loops (l, 10) that the edges form: loop j has those from `first[j]` to `first[j + 1]`.
 
     An edge with more half-edges one way than the other is there as often as that. The caps are
-    triangles that close each loop from the mean of its vertices.
+    triangles that close each loop from the mean of its vertices. Of a loop: that mean, the vector
+    area of its caps, the direction, and the distance that counts as far.
     """
     n = len(vertices)
     tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
@@ -143,10 +148,12 @@ def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
     ends = np.where(excess[:, None] < 0, ends[:, ::-1], ends)
     ends = np.repeat(ends, np.abs(excess), axis=0)
     if not len(ends):
-        return np.zeros((0, 2, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3))
+        none = np.zeros((0, 10)), np.zeros(1, dtype=np.intp)
+        return np.zeros((0, 2, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)), *none
     loop = connected_components(ends[:, 0], ends[:, 1], n)[ends[:, 0]]
     _, loop = np.unique(loop, return_inverse=True)
-    along = vertices[ends]
+    order = np.argsort(loop, kind="stable")
+    loop, along = loop[order], vertices[ends[order]]
     middle = means_by_group(along[:, 0], loop)
     spokes = along - middle[loop][:, None]
     swept = np.cross(spokes[:, 0], spokes[:, 1])
@@ -154,7 +161,10 @@ def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
     size = np.linalg.norm(area, axis=1, keepdims=True)
     direction = np.where(size > 0.0, -area / np.maximum(size, 1e-300), [0.0, 0.0, 1.0])
     caps = np.stack([along[:, 1], along[:, 0], middle[loop]], axis=1)
-    return np.ascontiguousarray(along), np.ascontiguousarray(direction[loop]), caps
+    first = np.concatenate([np.flatnonzero(np.diff(loop, prepend=-1)), [len(loop)]])
+    reach = FAR_RADII * np.maximum.reduceat(np.linalg.norm(spokes, axis=2).max(axis=1), first[:-1])
+    loops = np.concatenate([middle, -0.5 * area, direction, reach[:, None]], axis=1)
+    return along, np.ascontiguousarray(direction[loop]), caps, loops, first
 
 
 def _tree(corners: Array) -> tuple[Array, Array]:

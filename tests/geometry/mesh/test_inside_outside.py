@@ -142,6 +142,24 @@ def test_holes_of_a_body_are_closed_and_a_sheet_reaches_far(each_way):
     np.testing.assert_array_equal(dome.at(np.array(points)), [1, 1, 0, 0, 0])
 
 
+@pytest.mark.skipif(codegen.find_compiler() is None, reason="no C compiler here")
+def test_far_borders_count_by_their_loops():
+    """A ball cut into panels that face either way: a sheet of many loops, each extruded."""
+    mesh, rng = ball(subdivisions=5), np.random.default_rng(0)
+    cell = np.floor((mesh.triangles_center + 1.0) / 0.013).astype(int)
+    kept = (cell % 4 != 0).all(axis=1)
+    panel = np.unique(cell[kept], axis=0, return_inverse=True)[1].ravel()
+    turned = (rng.random(panel.max() + 1) < 0.5)[panel]
+    faces = mesh.faces[kept]
+    sheet = WindingNumber(mesh.vertices, np.where(turned[:, None], faces[:, ::-1], faces))
+    points = rng.normal(scale=0.08, size=(400, 3))
+    total = sheet._by_clusters(wn.library(), points)
+    exact = np.round(sheet._exact(points))
+    assert len(sheet.border) > 4000
+    assert len(np.unique(exact)) > 1
+    np.testing.assert_allclose(total, exact, atol=0.03)
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_panels_of_a_link_do_not_put_each_other_inside(tmp_path, turned):
     """A ball whose lid is a part of its own, and a rib that runs through it: signs as of a ball.
