@@ -3,11 +3,12 @@
     python studies/foreign_worlds.py [--worlds NAMES] [--seeds 3] [--full] [--out DIR]
 
 The recordings are made by studies/worlds, which shares no contact model with meshskin: closed forms
-with many electronics, a rubber layer by finite elements (scikit-fem), pins on springs (MuJoCo), a
-wrinkled and a yielding half-space (tamaas); pip install ".[worlds]" brings these solvers. On a
-sphere of 0.1 m are 97 taxels; 985 contacts follow a spiral, forces of 3 N vary by 5 %, and the
-noise is 1 %, a level that the calibration does not know. The world "edge" is a thin layer on a
-prism with 25 taxels about one of its edges, tapped 150 times.
+with many electronics, among them barometers, capacitors and magnets in rubber, a rubber layer by
+finite elements (scikit-fem), pins on springs (MuJoCo), a wrinkled and a yielding half-space
+(tamaas), a compliant sphere by hydroelastic contact (Drake); pip install ".[worlds]" brings these
+solvers. On a sphere of 0.1 m are 97 taxels; 985 contacts follow a spiral, forces of 3 N vary by
+5 %, and the noise is 1 %, a level that the calibration does not know. The world "edge" is a thin
+layer on a prism with 25 taxels about one of its edges, tapped 150 times.
 
 Printed for each world are rms errors in mm: of the pressure-weighted mean of contact points (the
 baseline), three chosen circles, the joint estimate with Hertz' contact, the same with gain and
@@ -178,14 +179,14 @@ def print_head(methods: list[str], seeds: int) -> None:
         f"{seeds} seeds"
     )
     cells = "".join(f"{METHODS[method]:>34}" for method in methods)
-    print(f"{'world':16}{'readings':>9}{'bound':>9}{cells}")
+    print(f"{'world':20}{'readings':>9}{'bound':>9}{cells}")
 
 
 def print_row(name: str, row: Mapping[str, float], methods: list[str]) -> None:
     """One world."""
     cells = "".join(f"{cell(row, method):>34}" for method in methods)
     shown = f"{row['bound_mm']:.4f}" if np.isfinite(row["bound_mm"]) else "-"
-    print(f"{name:16}{row['readings']:9.0f}{shown:>9}{cells}", flush=True)
+    print(f"{name:20}{row['readings']:9.0f}{shown:>9}{cells}", flush=True)
 
 
 def cell(row: Mapping[str, float], method: str) -> str:
@@ -263,7 +264,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     refused: dict[str, str] = {}
     for name in options.worlds:
         if (solver := SOLVERS.get(name)) and find_spec(solver) is None:
-            print(f'{name:16}left out: {solver} is missing; pip install ".[worlds]"')
+            print(f'{name:20}left out: {solver} is missing; pip install ".[worlds]"')
             continue
         reasons: dict[str, str] = {}
         made = world(name)

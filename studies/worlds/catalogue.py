@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -12,6 +13,7 @@ from .edge import Edge
 from .electronics import Electronics
 from .outside import Drag, Oblong, Pair, Skewed
 from .profiles import Bell, Hertz, Winkler, blurred
+from .transducers import Barometer, Capacitor, Magnet
 from .world import Radial, World
 
 COVER = 1e-3
@@ -20,6 +22,8 @@ COVER = 1e-3
 
 PRESSES: dict[str, Any] = {"dwell": (0.2, 2.0), "lift": 0.5}
 """Contacts that are held for times between these, s, with the indenter lifted between them."""
+INDENTER = 0.35e6
+"""Hydroelastic modulus, Pa, of an indenter as soft as the body by its depth."""
 YIELD = 0.7
 """Pressure at which a skin yields, relative to the elastic peak at the mean force."""
 SOLVERS = {
@@ -28,6 +32,9 @@ SOLVERS = {
     "rubber_8_bonded": "skfem",
     "rubber_8_sliding": "skfem",
     "pins": "mujoco",
+    "hydroelastic": "pydrake",
+    "hydroelastic_soft": "pydrake",
+    "hydroelastic_counts": "pydrake",
     "wrinkled": "tamaas",
     "yielding": "tamaas",
 }
@@ -62,6 +69,15 @@ def solved(name: str) -> World:
         from .pins import Pins
 
         return World(Pins(), guard=90)
+    if name.startswith("hydroelastic"):
+        from .hydroelastic import Hydroelastic
+
+        if name.endswith("soft"):
+            soft = Hydroelastic(indenter_modulus=INDENTER)
+            return World(soft, Electronics(gain=0.05), force_error=0.1)
+        counts = Electronics(gain=0.05, counts=True)
+        rigid = World(Hydroelastic())
+        return replace(rigid, electronics=counts, nominal_force=True) if "_" in name else rigid
     from .half_space import Wrinkled, yielding
 
     if name == "wrinkled":
@@ -81,6 +97,9 @@ def catalogue() -> dict[str, World]:
         "foam": World(foam),
         "foam_cover": World(cover),
         "bell": World(Radial(Bell())),
+        "barometer": World(Radial(Barometer())),
+        "capacitor": World(Radial(Capacitor())),
+        "magnet": World(Radial(Magnet())),
         "saturating": World(hertz, Electronics(saturating=True)),
         "two_skins": World(hertz, Electronics(second=(12, False))),
         "two_amplifiers": World(hertz, Electronics(second=(12, True))),

@@ -87,7 +87,7 @@ class Wrinkled:
     def __call__(self, touch: Touch, positions: Array) -> Array:
         """Means (m, n), Pa, of the pressure over the taxels' discs."""
         flat, places = plane(touch.points), plane(positions)
-        smooth, nodes = indenter_gap(), disc_nodes()
+        smooth, nodes = indenter_gap(), sphere.disc_nodes()
         last = SIDE / 2 + sphere.DISC_RADIUS
         out = np.zeros((len(flat), len(places)))
         half = len(self.heights) // 2
@@ -110,17 +110,6 @@ def plane(points: Array) -> Array:
     across = np.hypot(points[:, 0], points[:, 1])
     length = sphere.RADIUS * np.arctan2(across, points[:, 2])
     return points[:, :2] * (length / np.maximum(across, 1e-300))[:, None]
-
-
-def disc_nodes() -> Array:
-    """Nodes (200, 2), m, of equal weights on a taxel's disc: rings, each mirrored in both axes.
-
-    A pattern that is not symmetric would shift every reading to one side.
-    """
-    radius = sphere.DISC_RADIUS * np.sqrt((np.arange(10) + 0.5) / 10)
-    angle = 2 * np.pi * (np.arange(20) + 0.5) / 20
-    nodes = radius[:, None, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.asarray(nodes.reshape(-1, 2))
 
 
 def yielding(limit: float) -> Tabulated:

@@ -71,6 +71,17 @@ def on_sphere(flat: Array) -> Array:
     return RADIUS * np.column_stack([np.sin(angle)[:, None] * heading, np.cos(angle)])
 
 
+def disc_nodes() -> Array:
+    """Nodes (200, 2), m, of equal weights on a taxel's disc: rings, each mirrored in both axes.
+
+    A pattern that is not symmetric would shift every reading to one side.
+    """
+    radius = DISC_RADIUS * np.sqrt((np.arange(10) + 0.5) / 10)
+    angle = 2 * np.pi * (np.arange(20) + 0.5) / 20
+    nodes = radius[:, None, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(nodes.reshape(-1, 2))
+
+
 def tangents(points: Array) -> tuple[Array, Array]:
     """Two orthonormal tangents (k, 3) of the sphere at each point."""
     normal = points / np.linalg.norm(points, axis=1, keepdims=True)

@@ -526,6 +526,87 @@ def test_pins_are_springs_in_parallel():
         np.testing.assert_allclose(found[row], expected, atol=0.02 * force)
 
 
+def test_a_hydroelastic_body_is_springs_under_a_sphere():
+    """E over the radius is the stiffness k; F = pi R k d^2 but for the second order in the depth d
+    over the radius of the indenter, and for facets."""
+    hydroelastic = pytest.importorskip("worlds.hydroelastic", exc_type=ImportError)
+    from worlds import sphere
+    from worlds.profiles import Winkler
+    from worlds.world import Radial
+
+    positions = sphere.taxels(7, 0)
+    whole = sphere.spiral(40, positions, 0)
+    touch = sphere.Touch(whole.points[::14], whole.force[::14])
+    world = hydroelastic.Hydroelastic(resolution=6e-3)
+    expected = Radial(Winkler())(touch, positions)
+    assert np.abs(world(touch, positions) - expected).max() < 0.05 * expected.max()
+    for point, normal, force in zip(touch.points, touch.normals, touch.force, strict=True):
+        found, depth = world.pressed(point, normal, force, hydroelastic.DEPTH)
+        mesh, field = (f() for f in (found.contact_surface().tri_mesh_W,
+                                     found.contact_surface().tri_e_MN))  # fmt: skip
+        faces = np.array([[face.vertex(k) for k in range(3)] for face in mesh.triangles()])
+        p = np.array([field.EvaluateAtVertex(k) for k in range(mesh.num_vertices())])
+        area = [mesh.area(k) * mesh.face_normal(k) @ normal for k in range(len(faces))]
+        assert abs(p[faces].mean(axis=1) @ area) == pytest.approx(force, rel=2e-4)
+        springs = np.sqrt(force / (np.pi * Winkler().radius * Winkler().stiffness))
+        assert depth == pytest.approx(springs, rel=0.1)
+    soft = hydroelastic.Hydroelastic(resolution=6e-3, indenter_modulus=0.35e6)
+    # both are as stiff: together half as stiff
+    halved = Radial(Winkler(Winkler().stiffness / 2))(touch, positions)
+    assert np.abs(soft(touch, positions) - halved).max() < 0.08 * halved.max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["hydroelastic", "hydroelastic_soft", "hydroelastic_counts"])
+def test_hydroelastic_contact_is_learned(study, name):
+    """A rigid and a compliant indenter; the counts have only nominal forces."""
+    pytest.importorskip("worlds.hydroelastic", exc_type=ImportError)
+    from worlds import catalogue, sphere
+    from worlds.world import record
+
+    sample = record(replace(catalogue.world(name), taxels=61, contacts=620), 3)
+    readings = "raw" if name.endswith("counts") else "pressure"
+    body = ms.Body.sphere(sphere.RADIUS)
+    found = ms.calibrate(sample.recording, study.belief(sample, body, readings=readings))
+    off = np.linalg.norm(found.positions - sample.positions, axis=1)
+    rms, centroid = np.sqrt(np.mean(off**2)), study.centroid(sample, body).positions
+    assert rms < 0.8 * np.sqrt(np.mean(np.sum((centroid - sample.positions) ** 2, axis=1)))
+    assert 0.8 < np.sqrt(np.mean(found.position_sigma**2)) / rms < 1.25
+    assert np.max(off / found.position_sigma) < 5
+    assert found.verdict.level == ("DOUBT" if readings == "raw" else "PASS")
+
+
+def test_transducers_by_their_textbook_values():
+    """A barometer's pressure adds up to the force; the stress of the columns does, by quadrature;
+    a magnet moves by Boussinesq's displacements, and its field is that of a dipole."""
+    from worlds import transducers
+
+    sensor = transducers.Barometer()
+    total = quad(lambda r: 2 * np.pi * r * sensor(r, 3.0), 0, np.inf, epsrel=1e-9)[0]
+    assert total == pytest.approx(3.0)
+    sensor = transducers.Capacitor()
+
+    def stress(r):
+        s = 1 / (1 + sensor(r, 3.0) / sensor.shear)
+        return 2 * np.pi * r * sensor.shear * (1 / s**2 - s)
+
+    assert quad(stress, 0, 0.02, limit=200)[0] == pytest.approx(3.0, rel=1e-6)
+    sensor, r = transducers.Magnet(), 1.5e-3
+
+    def moved(z):
+        length, factor = np.hypot(r, z), 3.0 / (4 * np.pi * sensor.shear)
+        return factor * np.array([r * z / length**3, -(z**2) / length**3 - 1 / length])
+
+    def field(at):
+        away = np.linalg.norm(at)
+        return (3 * at[1] * at / away**2 - np.array([0.0, 1.0])) / away**3
+
+    rest = np.array([0.0, sensor.height])
+    now = rest + moved(sensor.depth) - moved(sensor.depth + sensor.height)
+    change = np.linalg.norm(field(now) - field(rest)) / np.linalg.norm(field(rest))
+    assert sensor(r, 3.0) == pytest.approx(sensor.shear * change)
+
+
 def test_boundary_elements_of_a_smooth_skin_are_hertz():
     half_space = pytest.importorskip("worlds.half_space", exc_type=ImportError)
     from worlds import profiles, sphere
