@@ -141,3 +141,13 @@ def nearest_rows(times: Array, wanted: Array) -> Index:
     """Row (m,) of the rising `times` (n,), two or more, nearest to each of `wanted` (m,)."""
     after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     return np.where(wanted - times[after - 1] < times[after] - wanted, after - 1, after)
+
+
+def last_known(values: NDArray[np.number], missing: NDArray[np.bool_]) -> NDArray[np.number]:
+    """The values (n, t) with the last known one where they are missing, or the first."""
+    row = np.where(missing, 0, np.arange(len(values))[:, None])
+    np.maximum.accumulate(row, axis=0, out=row)
+    filled = np.take_along_axis(values, row, axis=0)
+    first = np.take_along_axis(values, np.argmin(missing, axis=0)[None], axis=0)
+    known = np.logical_or.accumulate(~missing, axis=0)
+    return np.nan_to_num(np.where(known, filled, first), posinf=0.0, neginf=0.0)

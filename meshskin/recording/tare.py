@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import MAD, Array, Index, runs
+from ..core.arrays import MAD, Array, Index, last_known, runs
 from ..core.errors import RecordingError
 from ..core.value import Value
 from .log_map import AUTO, FALLING
@@ -80,7 +80,8 @@ class Tared(Value):
 def tare(
     times: Array, values: NDArray[np.number], polarity: str = AUTO, name: str = "the skin"
 ) -> Tared:
-    """Tare the readings `values` (n, t) at `times` (n,), s; those that are NaN stay so.
+    """Tare the readings `values` (n, t) at `times` (n,), s; those that are NaN stay so, but for
+    single ones of a taxel that is at rest before and after: it is at rest between, too.
 
     polarity: "rising", "falling", or "auto" to find out. Raises RecordingError for a skin that
     never answers and for a polarity that the readings do not tell.
@@ -89,14 +90,15 @@ def tare(
     if n <= MIN_FRAMES:
         raise _silent(name, f"it has {n} frames")
     missing = ~np.isfinite(values)
-    if missing.any():
-        values = _filled(values, missing)
+    lost = missing.copy()
+    if lost.any():
+        values = last_known(values, missing)
     columns = [slice(k, min(k + COLUMNS, t)) for k in range(0, t, COLUMNS)]
     largest, span = np.concatenate([_ranges(values[:, part]) for part in columns], axis=1)
     glitches = _glitches(values, columns, GLITCH * largest.max())
     if glitches.any():
         missing |= glitches
-        values = _filled(values, missing)
+        values = last_known(values, missing)
     noise, floor = np.concatenate([_noise(values[:, p], span[p]) for p in columns], axis=1)
     if not noise.any():
         raise _silent(name, "no reading ever changes")
@@ -141,6 +143,8 @@ def tare(
     if falling:
         np.negative(readings, out=readings)
     readings[missing] = np.nan
+    if lost.any():
+        _fill_rest(readings, lost, off * noise)
     return Tared(
         readings, noise, np.ptp(levels, axis=0), in_contact, falling, int(glitches.sum()),
         times[:0] if jumps is None else jumps,
@@ -156,14 +160,13 @@ def _glitches(
     return np.asarray(glitches & alone[:, None])
 
 
-def _filled(values: NDArray[np.number], missing: NDArray[np.bool_]) -> NDArray[np.number]:
-    """The values (n, t) with the last known one where they are missing, or the first."""
-    row = np.where(missing, 0, np.arange(len(values))[:, None])
-    np.maximum.accumulate(row, axis=0, out=row)
-    filled = np.take_along_axis(values, row, axis=0)
-    first = np.take_along_axis(values, np.argmin(missing, axis=0)[None], axis=0)
-    known = np.logical_or.accumulate(~missing, axis=0)
-    return np.nan_to_num(np.where(known, filled, first), posinf=0.0, neginf=0.0)
+def _fill_rest(readings: NDArray[np.floating], lost: NDArray[np.bool_], limit: Array) -> None:
+    """Put the mean of the readings (n, t) before and after in place of those that are lost (n, t),
+    where both are within `limit` (t,) of the level at rest."""
+    frame, taxel = np.nonzero(lost[1:-1])
+    before, after = readings[frame, taxel], readings[frame + 2, taxel]
+    rest = (np.abs(before) <= limit[taxel]) & (np.abs(after) <= limit[taxel])
+    readings[frame[rest] + 1, taxel[rest]] = 0.5 * (before + after)[rest]
 
 
 def thresholds(frames: int, taxels: int) -> tuple[float, float]:

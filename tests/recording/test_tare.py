@@ -30,6 +30,24 @@ def test_raw_counts_become_readings_that_rise_from_zero(sign, drift):
     assert found.drift.mean() == pytest.approx(0.8 * drift, abs=4)  # between middles of blocks
 
 
+def test_lost_readings_at_rest_are_at_rest():
+    log, times, counts, truth = skin(contacts=20)
+    whole = tare(times, counts)
+    lost = np.random.default_rng(1).random(counts.shape) < 0.004
+    lost[300:340, 7] = True
+    found = tare(times, np.where(lost, np.nan, counts))
+    np.testing.assert_array_equal(found.in_contact, whole.in_contact)
+    left = np.isnan(found.readings)
+    assert left[301:339, 7].all()
+    alone = lost & ~np.roll(lost, 1, axis=0) & ~np.roll(lost, -1, axis=0)
+    assert left[alone & (truth > 20)].all()
+    filled = lost & ~left
+    assert filled[alone].mean() > 0.8
+    error = (found.readings - truth)[filled]
+    assert np.abs(error).max() < 5 * log.noise
+    np.testing.assert_allclose(found.readings[~lost], whole.readings[~lost], atol=0.2)
+
+
 def test_contacts_are_those_of_the_force():
     log, times, counts, _ = skin(contacts=20)
     force = log.force_at(times - log.late)
