@@ -101,8 +101,11 @@ def command(options: argparse.Namespace) -> int:
     except MeshError as error:
         usable = False
         print(f"  {'refused':9} {error}")
-    if usable and options.indenter_radius_mm:
-        indenters(options)
+    if options.indenter_radius_mm:
+        if usable:
+            indenters(options)
+        else:
+            print(f"  {'indenter':9} not tried on a mesh that cannot be a body: see the remedies")
     print("can be a body" if usable else "cannot be a body")
     if kind == ".html":
         page(found, options.mesh.name, options.out)

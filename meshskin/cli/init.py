@@ -257,7 +257,7 @@ def log_map(file: Path, out: Path) -> tuple[str, str]:
             remedy=f"meshskin calibrate {file} --body MESH --indenter-radius-mm MM --out out/",
         )
     log, could = read_and_suggest(file, progress=True)
-    first = first_map(could, [])
+    first = first_map(log, could, [])
     lines = [
         f"# The map of {file.name}, proposed by `meshskin init`: what each of its streams is.",
         "# Remove what is not used, and correct kind, unit and values.",
@@ -273,6 +273,10 @@ def log_map(file: Path, out: Path) -> tuple[str, str]:
             lines.append(f"# could also be: {', '.join(dict.fromkeys(others))}")
         _, _, table = LogMap((stream,)).to_toml().partition("\n\n")
         lines.append(table)
+    named = {stream.topic for stream in first.streams}
+    if other := [name for name in sorted(could) if could[name] and name not in named]:
+        lines.append("# Other parts of the skin: each needs a map of its own.")
+        lines += [*(f"# {name}" for name in other), ""]
     if unknown := [name for name in sorted(could) if not could[name]]:
         lines += [f"# Not recognized: {', '.join(unknown)}.", ""]
     if not any(first.of(kind) for kind in (CONTACTS, POSE, JOINTS)):

@@ -95,7 +95,7 @@ def command(options: argparse.Namespace) -> int:
     if robot is not None:
         _compare_joints(options, could, robot)
     if options.write_map is not None:
-        write_text(options.write_map, first_map(could, options.messages).to_toml())
+        write_text(options.write_map, first_map(log, could, options.messages).to_toml())
         print(f"map: {options.write_map}")
     for stream in log.streams:
         if stream.backward is not None:
@@ -198,8 +198,9 @@ def _words(one: StreamMap) -> str:
     return f"{one.kind}{where}" + (f", {one.length}" if one.length else "")
 
 
-def first_map(could: dict[str, list[StreamMap]], messages: list[Path]) -> LogMap:
-    """The likeliest kind of every stream, with ids of taxels that do not repeat.
+def first_map(log: Log, could: dict[str, list[StreamMap]], messages: list[Path]) -> LogMap:
+    """The likeliest kind of every stream, with ids of taxels that do not repeat; of several
+    parts of a skin, the one with the most contacts.
 
     Raises ConfigError where no stream is recognized.
     """
@@ -222,7 +223,18 @@ def first_map(could: dict[str, list[StreamMap]], messages: list[Path]) -> LogMap
             value=repr_short(sorted(could)),
             remedy="see with meshskin log whether they have samples, or write the map by hand",
         )
-    return LogMap(tuple(streams), tuple(messages))
+    return LogMap(_one_part(streams, log), tuple(messages))
+
+
+def _one_part(streams: list[StreamMap], log: Log) -> tuple[StreamMap, ...]:
+    """The streams with one part of a skin alone: contacts PART and taxels PART/taxels are in the
+    frame of its link, and other parts number their taxels alike.
+    """
+    contacts = {stream.name: len(stream) for stream in log.streams}
+    parts = [one.topic.removesuffix("/taxels") for one in streams if one.topic.endswith("/taxels")]
+    parts = sorted((part for part in parts if part in contacts), key=contacts.__getitem__)
+    other = {name for part in parts[:-1] for name in (part, f"{part}/taxels")}
+    return tuple(one for one in streams if one.topic not in other)
 
 
 def summary(frames: LogFrames, log: Log) -> Iterator[str]:

@@ -32,7 +32,8 @@ def find(name: str) -> type[Effect]:
     if name not in entry_points:
         own = _defined(BaseEffect)
         if name not in own:
-            raise UnknownNameError("effect", name, {*NAMES, *entry_points, *own})
+            where = f" (its package would have an entry point {ENTRY_POINT_GROUP})"
+            raise UnknownNameError("effect", name, {*NAMES, *entry_points, *own}, where)
         return own[name]
     try:
         found = entry_points[name].load()

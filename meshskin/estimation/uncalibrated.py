@@ -14,6 +14,9 @@ from ..scene.belief import Belief
 from .calibration import Calibration, provenance_of
 from .uncertainty.verdict import FAIL, Verdict
 
+OFF = 5e-3
+"""Median distance of contact points from the body, m, above which they are not on its skin: the
+skins of robots are thinner."""
 CIRCULAR = "contact points that were computed from the map that is sought"
 """Reason of every taxel."""
 UNTOUCHED = "no answer while the skin had a single contact"
@@ -42,12 +45,12 @@ def uncalibrated(recording: Recording, belief: Belief) -> Calibration:
         factors=(),
         chi2=np.full(n, np.nan),
         reasons=np.where(touched, CIRCULAR, UNTOUCHED).astype(object),
-        verdict=Verdict(FAIL, _reasons(recording, readings)),
+        verdict=Verdict(FAIL, _reasons(recording, readings, belief)),
         provenance=provenance_of("none", recording),
     )
 
 
-def _reasons(recording: Recording, readings: np.ndarray) -> tuple[str, ...]:
+def _reasons(recording: Recording, readings: np.ndarray, belief: Belief) -> tuple[str, ...]:
     """What cannot be calibrated, what to record instead, and what the recording shows."""
     touched = readings[readings > 0]
     span = f"{touched.min()} to {touched.max()}" if len(touched) else "no"
@@ -60,4 +63,18 @@ def _reasons(recording: Recording, readings: np.ndarray) -> tuple[str, ...]:
         "reading; record the raw port of the skin, too",
         f"what the recording shows: {len(touched)} of {len(readings)} taxels answer, in {span} of "
         f"the {len(recording.time)} frames with a single contact",
+        *_off(recording, belief),
+    )
+
+
+def _off(recording: Recording, belief: Belief) -> tuple[str, ...]:
+    """That the contact points are off the body, where they are."""
+    distance = np.abs(belief.body.closest(recording.points).distance)
+    typical = float(np.median(distance)) if len(distance) else 0.0
+    if typical <= OFF:
+        return ()
+    return (
+        f"the contact points lie {1e3 * typical:.2g} mm off the surface of the body in the median, "
+        f"limit {1e3 * OFF:g} mm: the robot's map, the mesh or its pose in the link is wrong; "
+        "check them before the skin is touched again",
     )

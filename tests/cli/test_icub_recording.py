@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pyarrow.compute as pc
 
 import meshskin as ms
 from meshskin import cli
@@ -32,6 +33,7 @@ def test_the_report_says_that_it_cannot_be_calibrated(tmp_path, capsys):
     assert printed.startswith("verdict: FAIL\n")
     assert "computed by the robot from the taxels that answered" in printed
     assert "0 of 47 taxels determined" in printed
+    assert "the contact points lie 24 mm off the surface of the body" in printed
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "computed by the robot from the taxels that answered" in page
     assert "recording · not calibrated" in page
@@ -60,3 +62,20 @@ def test_contact_points_of_the_taxels_themselves_are_refused(noisy, noisy_record
     assert "own map" in found.verdict.reasons[0]
     assert not found.observed.any()
     assert found.readings.sum() == (noisy_recording.pressure > 0).sum()
+    assert not any("off the surface" in reason for reason in found.verdict.reasons)
+    moved = recording.contacts
+    for name in ("px", "py", "pz"):
+        away = pc.multiply(moved[name], 1.2)  # from a sphere of radius 0.1 m: 20 mm
+        moved = moved.set_column(moved.schema.get_field_index(name), name, away)
+    recording = ms.Recording(moved, noisy_recording.readings, metadata)
+    found = ms.calibrate(recording, noisy.belief())
+    assert "lie 20 mm off the surface" in found.verdict.reasons[-1]
+
+
+@needs_icub_log
+def test_a_proposed_map_has_one_part_of_those_that_number_their_taxels_alike(tmp_path, capsys):
+    path = tmp_path / "map.toml"
+    assert cli.main(["init", str(DATA / "icub_recording"), "--out", str(path)]) == 0
+    assert [stream.topic for stream in ms.LogMap.load(path).streams] == [PORT, f"{PORT}/taxels"]
+    assert "right_forearm/taxels" in path.read_text()  # named in a comment
+    assert cli.main(["log", str(DATA / "icub_recording"), "--map", str(path)]) == 0

@@ -324,6 +324,11 @@ def test_a_budget_that_is_exceeded_says_why():
     assert "0.3 mm together, estimated 0.15 mm; 2 taxels are lost" in first
     assert "largest alone: crosstalk 0.15 mm;" in first
     within = replace(report, check=Check(0.19e-3, 80, 0, (2.0, 1.0)))
+    *rows, total = [row[3] for row in within.table()[1]]
+    assert total == "1.000"
+    summed = sum(float(seconds) for seconds in rows if not seconds.startswith("("))
+    assert summed == pytest.approx(1.0), "of what is on and of the rest"
+    assert sum(seconds.startswith("(") for seconds in rows) == sum(not e.on for e in entries)
     assert within.exceeded == ""
     assert within.summary()[0].startswith("Budget 0.2 mm")
     assert report.explain(0.19e-3) == ""

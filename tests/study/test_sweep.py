@@ -44,6 +44,7 @@ def test_scenes_give_the_same_numbers_in_any_process(out):
     assert {name: row[name] for name in here} == here
     assert row["status"] == "done"
     assert row["determined"] == 12
+    assert row["verdict"] == "PASS"
     errors = table.column("position_error_mm.mean").to_pylist()
     assert 0 < errors[0] < errors[1] < 2, "the joint estimate is better than the pose graph"
     assert row["crlb_mm.mean"] / 2 < errors[0] < 2 * row["crlb_mm.mean"]

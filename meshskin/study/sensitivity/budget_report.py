@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 MAX_NAMED = 3
 """Effects that an explanation names."""
-HEADER = ("effect", "", "mm", "seconds", "why")
+HEADER = ("effect", "", "mm", "seconds (saved)", "why")
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,9 @@ class Entry:
         return 1e3 * self.shift
 
     def row(self) -> tuple[str, str, str, str, str]:
-        """Name, setting, mm, seconds and reason as text."""
-        seconds = f"{round(self.seconds, 3) + 0.0:.3f}"
+        """Name, setting, mm, seconds and reason as text; seconds that are saved are in brackets."""
+        seconds = _seconds(self.seconds)
+        seconds = seconds if self.on else f"({seconds})"
         return self.label, self.setting, f"{self.shift_mm:.4f}", seconds, self.why
 
 
@@ -167,8 +168,14 @@ class BudgetReport(Card, Tabular):
         }
 
     def table(self) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-        """Header and rows as text."""
-        return HEADER, tuple(entry.row() for entry in self.entries)
+        """Header and rows as text; the seconds of what is on and of the rest add up to the last."""
+        measured = self.check.seconds[1]
+        rest = "plan, surface, functions, ideal readings: the line below less those above"
+        return HEADER, (
+            *(entry.row() for entry in self.entries),
+            ("the rest", "", "", _seconds(measured - self.seconds), rest),
+            ("chosen scene", "", "", _seconds(measured), "measured in the check, processor time"),
+        )  # fmt: skip
 
     def facts(self) -> dict[str, str]:
         """Budget, estimate, check and what is on, for a notebook."""
@@ -204,7 +211,8 @@ class BudgetReport(Card, Tabular):
 
     def __str__(self) -> str:
         """The table with the summary below it."""
-        rows = [HEADER, *(entry.row() for entry in self.entries)]
+        header, body = self.table()
+        rows = [header, *body]
         width = [max(len(row[k]) for row in rows) for k in range(4)]
         lines = [
             f"{row[0]:{width[0]}}  {row[1]:{width[1]}}  {row[2]:>{width[2]}}  "
@@ -212,6 +220,11 @@ class BudgetReport(Card, Tabular):
             for row in rows
         ]
         return "\n".join((*lines, *self.summary()))
+
+
+def _seconds(value: float) -> str:
+    """Seconds in milliseconds, without a negative zero."""
+    return f"{round(value, 3) + 0.0:.3f}"
 
 
 def _largest(entries: Sequence[Entry]) -> str:

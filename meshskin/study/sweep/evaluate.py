@@ -10,11 +10,11 @@ from ...simulation.simulate import simulate
 from ..sensitivity.budget import budget
 from .case import Case
 
-Value = float | int | None
+Value = float | int | str | None
 
 
 def evaluate(case: Case) -> dict[str, Value]:
-    """Position errors (mm), Cramér-Rao bound, NEES, modulus, force and counts of one case.
+    """Position errors (mm), Cramér-Rao bound, NEES, verdict, modulus, force, counts of one case.
 
     The values depend on the case alone and on no clock. The bound is that of a true belief; it is
     0 without noise.
@@ -40,6 +40,7 @@ def evaluate(case: Case) -> dict[str, Value]:
     nees = metrics.nees(found, scene.skin)
     nees = nees[np.isfinite(nees)]
     out["nees"] = float(nees.mean()) if len(nees) else None
+    out["verdict"] = None if found.verdict is None else found.verdict.level
     out["modulus_pa"], out["modulus_sigma_pa"] = found.modulus, found.modulus_sigma
     out["force_mean_n"] = float(recording.force.mean())
     out["force_std_n"] = float(recording.force.std())

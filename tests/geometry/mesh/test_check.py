@@ -239,6 +239,13 @@ def test_a_drawing_leaves_out_repairs_all_over_the_mesh(ball):
     assert hole_text.startswith("refused: the mesh is not watertight")
 
 
+def test_indenters_are_not_silently_left_out(ball, tmp_path, capsys):
+    trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export(tmp_path / "hole.ply")
+    line = ["check", str(tmp_path / "hole.ply"), "--units", "m", "--indenter-radius-mm", "8"]
+    assert cli.main(line) == 1
+    assert "indenter  not tried on a mesh that cannot be a body" in capsys.readouterr().out
+
+
 def test_indenters_are_compared(ball, tmp_path, capsys):
     ball.export(tmp_path / "ball.ply")
     line = ["check", str(tmp_path / "ball.ply"), "--units", "m", "--indenter-radius-mm"]
