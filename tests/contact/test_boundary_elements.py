@@ -144,11 +144,3 @@ def test_gaps_and_forces_that_are_not_finite_raise():
     for gap, force in ((np.full((4, 4), np.nan), 1.0), (np.zeros((4, 4)), 0.0)):
         with pytest.raises(ContactError, match="finite"):
             boundary_elements.solve_grid(gap, body, force, 1e-6)
-
-
-def test_zero_force_gives_an_empty_patch():
-    patch = contact.solve("field", curvature=0.0, **CASE | {"force": 0.0})
-    assert (patch.peak, patch.depth) == (0.0, 0.0)
-    assert patch.pressure([[0.0, 0.0]]) == 0.0
-    assert patch.reading([[0.0, 0.0]], 1e-3) == 0.0
-    assert contact.solve("elliptic", curvature=0.0, **CASE | {"force": 0.0}).peak == patch.peak

@@ -129,15 +129,6 @@ def test_thinner_is_stiffer(poisson):
     assert exponent.max() < 1.2
 
 
-def test_pressure_carries_the_force():
-    patch = contact.solve("layered", curvature=(60.0, 0.0), thickness=1e-3, **CASE)
-    x, y = (((np.arange(400) + 0.5) / 200 - 1) * axis for axis in patch.semi_axes)
-    grid = np.stack(np.meshgrid(x, y), axis=-1)
-    cell = (x[1] - x[0]) * (y[1] - y[0])
-    assert patch.pressure(grid).sum() * cell == pytest.approx(1.0, rel=1e-3)
-    assert patch.exponent > 0.6
-
-
 @pytest.mark.parametrize(("poisson", "thickness"), [(0.3, 3e-3), (0.49, 1e-3)])
 @pytest.mark.parametrize("pair", [(0.0, 0.0), (20.0, 0.0), (80.0, -20.0)])
 def test_against_boundary_elements_on_ellipses(pair, poisson, thickness):
@@ -195,12 +186,6 @@ def test_contacts_out_of_range_raise(change, names):
 def test_batches_outside_the_table_raise():
     with pytest.raises(ContactError, match="too thin"):
         layered.BondedLayer(0.4, 1e-4).patches(np.array([1e-9, 1.0]), np.zeros((2, 2)), 0.01, 1e6)
-
-
-def test_zero_force_gives_an_empty_patch():
-    patch = contact.solve("layered", curvature=0.0, thickness=2e-3, **CASE | {"force": 0.0})
-    assert (patch.peak, patch.depth) == (0.0, 0.0)
-    assert patch.reading([[0.0, 0.0]], 1e-3) == 0.0
 
 
 @pytest.mark.parametrize(("chi", "poisson"), [(10.0, 0.5), (0.37, 0.21), (2.6, 0.478)])

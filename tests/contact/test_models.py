@@ -148,6 +148,30 @@ def test_casadi_expressions_equal_numpy(model):
     assert np.isfinite(jacobian.full()).all()
 
 
+@pytest.mark.parametrize(
+    ("model", "curvature", "thickness"),
+    [("hertz", 10.0, None), ("elliptic", (200.0, 0.0), None), ("layered", (60.0, 0.0), 1e-3)],
+)
+def test_pressure_carries_the_force(model, curvature, thickness):
+    patch = contact.solve(model, **CASE | {"curvature": curvature, "thickness": thickness})
+    x, y = (((np.arange(400) + 0.5) / 200 - 1) * axis for axis in patch.semi_axes)
+    grid = np.stack(np.meshgrid(x, y), axis=-1)
+    cell = (x[1] - x[0]) * (y[1] - y[0])
+    assert patch.pressure(grid).sum() * cell == pytest.approx(1.0, rel=1e-3)
+    assert (patch.exponent > 0.6) == (model == "layered")
+
+
+@pytest.mark.parametrize(
+    ("model", "thickness"),
+    [("hertz", None), ("elliptic", None), ("layered", 2e-3), ("field", None)],
+)
+def test_zero_force_gives_an_empty_patch(model, thickness):
+    patch = contact.solve(model, **CASE | {"force": 0.0, "thickness": thickness})
+    assert (patch.peak, patch.depth) == (0.0, 0.0)
+    assert patch.pressure([[0.0, 0.0]]) == 0.0
+    assert patch.reading([[0.0, 0.0]], 1e-3) == 0.0
+
+
 def test_unknown_model_names_the_nearest():
     with pytest.raises(UnknownNameError, match="did you mean layered"):
         contact.ContactModel("layred")

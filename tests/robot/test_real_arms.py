@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from meshskin.core.errors import UnknownNameError
 from meshskin.robot.arm import Arm
 
 from ..real_data import DATA, needs_icub
@@ -71,8 +70,3 @@ def test_a_finger_driven_from_beside_the_chain_is_held():
     assert np.isfinite(finger.pose(q)).all()
     agrees_in_mass = [float(np.abs(model(arm)(q, q)[0].full()).sum()) for arm in (hand, finger)]
     assert agrees_in_mass[0] == pytest.approx(agrees_in_mass[1])
-
-
-def test_an_unknown_tip_names_what_is_near():
-    with pytest.raises(UnknownNameError, match="panda_hand"):
-        Arm.from_urdf(urdf("panda.urdf"), tip="panda_hnd")

@@ -82,11 +82,6 @@ def test_relative_paths_start_from_the_file_they_are_written_in(tmp_path):
     assert (scene.material.young, scene.material.poisson) == (300e3, 0.4)
 
 
-def test_a_delay_must_be_a_whole_number_of_steps(sphere):
-    with pytest.raises(ConfigError, match=r"whole number of steps, got 1.5 ms, .*delay_ms = 2"):
-        replace(sphere.loop, delay=1.5e-3)
-
-
 def test_effects_may_come_from_any_iterable(sphere):
     noise = ms.effects.find("gaussian_noise")(sigma_relative=0.01)
     scene = sphere.with_(effects=(effect for effect in [noise]))

@@ -453,13 +453,6 @@ def test_counts_that_fall_with_pressure():
     assert errors(rising)[0] < 0.1e-3
 
 
-def test_counts_that_never_change_are_refused():
-    points, force, contact, taxel, level = counts()
-    log = recording(points, force, contact, taxel, np.full(len(level), 17.0))
-    with pytest.raises(CalibrationError, match="never change"):
-        calibrate(log, belief(readings="raw"))
-
-
 @pytest.mark.slow
 def test_few_contacts_leave_the_model():
     """20 contacts over the skin: the default is the model's estimate, or as good."""

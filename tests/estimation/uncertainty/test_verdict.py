@@ -237,14 +237,6 @@ def test_the_verdict_is_the_first_of_what_is_saved_and_printed(noisy, recorded, 
     assert "FAIL: do not use this calibration." in (tmp_path / "r.html").read_text()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("frames", [2, 3])
-def test_late_readings_are_named(noisy, recorded, frames):
-    found = ms.calibrate(late(recorded, frames), noisy.belief())
-    assert found.verdict.level == "DOUBT"
-    assert any(f"{frames} frames too late" in reason for reason in found.verdict.reasons)
-
-
 @pytest.mark.parametrize(("back", "level"), [(-1, "PASS"), (1, "DOUBT")])
 def test_clocks_that_were_not_compared_are_named_where_strokes_have_one_direction(
     noisy, back, level
