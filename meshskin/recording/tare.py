@@ -89,15 +89,14 @@ def tare(
     n, t = values.shape
     if n <= MIN_FRAMES:
         raise _silent(name, f"it has {n} frames")
-    missing = ~np.isfinite(values)
-    lost = missing.copy()
+    lost = ~np.isfinite(values)
     if lost.any():
-        values = last_known(values, missing)
+        values = last_known(values, lost)
     columns = [slice(k, min(k + COLUMNS, t)) for k in range(0, t, COLUMNS)]
     largest, span = np.concatenate([_ranges(values[:, part]) for part in columns], axis=1)
     glitches = _glitches(values, columns, GLITCH * largest.max())
+    missing = lost | glitches
     if glitches.any():
-        missing |= glitches
         values = last_known(values, missing)
     noise, floor = np.concatenate([_noise(values[:, p], span[p]) for p in columns], axis=1)
     if not noise.any():
@@ -143,8 +142,7 @@ def tare(
     if falling:
         np.negative(readings, out=readings)
     readings[missing] = np.nan
-    if lost.any():
-        _fill_rest(readings, lost, off * noise)
+    _fill_rest(readings, lost, off * noise)
     return Tared(
         readings, noise, np.ptp(levels, axis=0), in_contact, falling, int(glitches.sum()),
         times[:0] if jumps is None else jumps,
