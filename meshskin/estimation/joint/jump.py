@@ -172,7 +172,7 @@ def jump_by_outliers(estimator: JointEstimator) -> Jump:
     found, m = [Jump()], len(estimator.data.points)
     for place, rows in _outlying_sides(estimator.likelihood.readings, m):
         late = estimator.likelihood.readings.contact[rows] >= place
-        residuals = _DisplacedResiduals(estimator, rows, np.where(late, -1.0, 1.0))
+        residuals = DisplacedResiduals(estimator, rows, np.where(late, -1.0, 1.0))
         displacement = residuals.least()
         before, after = (
             np.minimum(residuals.at(x)[0] ** 2, CUTOFF**2) for x in (np.zeros(3), displacement)
@@ -209,7 +209,7 @@ def _outlying_sides(readings: Readings, m: int) -> list[tuple[int, np.ndarray]]:
     return [(place, rows) for divided, place, rows in found if divided >= NEAR_BEST * most > 0]
 
 
-class _DisplacedResiduals:
+class DisplacedResiduals:
     """Residuals of readings whose taxels are displaced, each in one of two opposite directions."""
 
     def __init__(self, estimator: JointEstimator, rows: np.ndarray, sign: Array) -> None:
@@ -230,10 +230,11 @@ class _DisplacedResiduals:
         )  # fmt: skip
         return self.root * (mu - self.level), (self.root * self.sign * jacobian[:3]).T
 
-    def least(self) -> Array:
+    def least(self, start: Array | None = None) -> Array:
         """The displacement (3,), m, with the least sum of Huber's costs, by Gauss-Newton steps with
-        Levenberg's damping; zero along what readings hardly show."""
-        x, damping = np.zeros(3), DAMPING
+        Levenberg's damping from `start` (3,), m, by default zero; that along what readings hardly
+        show."""
+        x, damping = np.zeros(3) if start is None else start, DAMPING
         residuals, jacobian = self.at(x)
         value, vectors = np.linalg.eigh(jacobian.T @ jacobian)
         basis = vectors[:, value > MIN_SHOWN * value[-1]]

@@ -18,6 +18,7 @@ from .jump import Jump, jump_by_outliers, jump_of
 from .leaks import crosstalk_score
 from .parametrization import SurfaceParametrization
 from .residual_correlations import SharedErrors, larger, shared_errors
+from .second_fits import SecondFits, second_fits
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class ModelDepartures:
     """The jump that outlying readings show."""
     errors: SharedErrors | None = None
     fields: ContactFields | None = None
+    second: SecondFits | None = None
 
     @classmethod
     def of(cls, estimator: JointEstimator, fit: GoodnessOfFit) -> ModelDepartures:
@@ -41,7 +43,8 @@ class ModelDepartures:
         fitted = fitted_readings(estimator, estimator.likelihood.readings.weight)
         outlying = jump_by_outliers(estimator)
         jump = max(jump_of(estimator, fitted), outlying, key=lambda jump: jump.score)
-        return cls(fitted, jump, outlying, shared_errors(fitted), contact_fields(fitted))
+        errors, fields = shared_errors(fitted), contact_fields(fitted)
+        return cls(fitted, jump, outlying, errors, fields, second_fits(estimator))
 
     def with_jump(self, learned: EstimatorResult | None) -> EstimatorResult | None:
         """An estimate with a learned response, if there is one, with the jump that outlying
@@ -67,7 +70,7 @@ class ModelDepartures:
     def rejected(self, estimator: JointEstimator, noise: float) -> Array:
         """What readings that were left out, and gains that change, add to the tangential
         covariances (n, 2, 2), m^2; noise: factor of the readings' standard deviations."""
-        if self.fitted is None:
+        if self.fitted is None or self.second is None:
             return np.zeros((2, 2))
         readings = self.fitted.readings
         spread = fault_detection.spread(readings, noise)
@@ -75,13 +78,13 @@ class ModelDepartures:
         moved = rejected_readings.displacements(self.fitted, readings.precision, spread)
         whole = fitted_readings(estimator, np.ones_like(readings.weight))
         both = np.stack([moved, gain_changes.displacements(whole, noise)])
-        return np.asarray(np.einsum("sni,snj->nij", both, both))
+        return np.asarray(np.einsum("sni,snj->nij", both, both) + self.second.covariances)
 
     def scores(self, estimator: JointEstimator) -> dict[str, float]:
         """The score of each, by its name."""
         found = departure_scores(estimator, self.fitted)
         if self.fitted is not None:
             found["crosstalk"] = crosstalk_score(self.fitted, found["crosstalk"])
-        for part in (self.errors, self.fields, self.jump):
+        for part in (self.errors, self.fields, self.jump, self.second):
             found |= part.departure if part else {}
         return found

@@ -26,6 +26,7 @@ from ..joint.optimum import model_dependence
 from ..joint.pressure import CENSORED, OBSERVED
 from ..joint.residual_correlations import larger, shared_errors
 from ..joint.rival_optima import RivalOptima
+from ..joint.second_fits import second_fits
 from ..joint.small_effects import SmallEffects
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
@@ -86,8 +87,9 @@ def learned_result(
             factors.append(f"{name}, to first order")
             placed = placed.relinearized(data.body, -errors.displacements)
     points, rotations = placed.points(), placed.rotations()
-    apart = np.nan_to_num(rivals.points - points)
-    tangential += tangential_square(rotations[:, :, :2], apart)
+    apart, second = np.nan_to_num(rivals.points - points), second_fits(estimator)
+    tangential += tangential_square(rotations[:, :, :2], apart) + second.covariances
+    departures |= second.departure
     changed, reasons = gain_changes(effects.fitted()), reasons.copy()
     changed &= fit.good is not False  # the misfit of the response would pass for it
     reasons[live], reasons[live[estimator.broken]] = "", MOSTLY_OUTLIERS
