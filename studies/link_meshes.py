@@ -2,7 +2,7 @@
 
     python studies/link_meshes.py FOLDER ... --out links.jsonl [--skins 3] [--only UR3E] [--step 8]
 
-FOLDER holds mesh files (STL, OBJ, PLY, OFF, GLB, glTF, DAE), such as the meshes of the
+FOLDER holds mesh files of any format that `Body.load` reads, such as the meshes of the
 example-robot-data wheel (extra `robots`); single files can be named, too. Every mesh gets --skins
 skins of 60 taxels in caps of random directions; --only takes the paths that contain a word,
 --step 8 every eighth mesh, --from 3 from the third on; --first-seed 4 draws other skins. Rows are

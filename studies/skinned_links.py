@@ -2,7 +2,7 @@
 
     python studies/skinned_links.py MESH ... --radius-mm 8 --force-n 3 --out skinned.jsonl
 
-MESH is a mesh file (STL, OBJ, PLY, OFF, GLB, glTF, DAE), or a folder that holds some. Each is
+MESH is a mesh file of any format that `Body.load` reads, or a folder that holds some. Each is
 covered by --taxels taxels all over, as it is and as `Body.skinned` gives it (--thickness-mm,
 --feature-mm), moved by hand over the indenter in lanes (--lane-mm), with 1 % noise, and calibrated.
 Points spread evenly over the mesh are the measure, the same for both: a point counts as visible if

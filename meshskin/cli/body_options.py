@@ -18,7 +18,7 @@ NAMES = ("units", "open", "link", "folder", "link_mesh")
 LIKELY = (0.02, 2.0)
 """Usual extents of bodies that carry skin, m: a fingertip to a torso. The unit is the first of m,
 mm and cm in which the mesh has one, as exporters of meshes use them in this order."""
-HELP = "STL, OBJ, PLY, OFF, glTF or Collada file, or a URDF file with --link"
+HELP = "STL, OBJ, PLY, OFF, glTF, Collada or MuJoCo (.msh) file, or a URDF file with --link"
 
 
 def add(parser: Any) -> None:

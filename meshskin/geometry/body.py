@@ -175,7 +175,7 @@ class Body(Value, Card):
 
     @classmethod
     def load(cls, path: str | Path, units: str | None = None, open: bool = False) -> Body:
-        """A body from an STL, OBJ, PLY, OFF, GLB, glTF or Collada (.dae, by pycollada) file.
+        """A body from an STL, OBJ, PLY, OFF, GLB, glTF, MuJoCo (.msh) or Collada file (.dae).
 
         `units` ("m", "cm", "mm", "in") is required except for glTF, whose standard is m, and for
         Collada files, which say it. With `open`, a mesh with borders is accepted. Safe repairs are

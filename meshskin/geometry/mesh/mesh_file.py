@@ -17,7 +17,7 @@ from .triangles import Triangles
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 """length units of mesh files, in m"""
-FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf", "dae")
+FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf", "dae", "msh")
 """suffixes of the formats that are read"""
 METRES = ("glb", "gltf")
 """formats whose standard says m"""
@@ -60,7 +60,10 @@ def _check(path: Path) -> str:
     kind = _kind(path)
     if kind not in FORMATS:
         raise MeshError(
-            "unknown format of a mesh", value=repr(kind), limit=f"one of {', '.join(FORMATS)}"
+            "unknown format of a mesh",
+            value=repr(kind),
+            limit=f"one of {', '.join(FORMATS)}",
+            remedy="export the mesh as STL",
         )
     if not path.is_file():
         raise MeshError("the mesh file does not exist", value=str(path))
@@ -79,6 +82,8 @@ def read(path: Path, scale: float | None = None) -> Triangles:
             found = Triangles(*obj.read(text, path.name))
         elif kind == "dae":
             found, scale = collada.read(path, scale), 1.0
+        elif kind == "msh":
+            found = _by_counts(path)
         else:
             found = _by_trimesh(path, kind)
     except MeshError:
@@ -91,6 +96,28 @@ def read(path: Path, scale: float | None = None) -> Triangles:
     if not len(found.faces):
         raise MeshError(f"{path.name} has no faces", remedy="check the file in a mesh viewer")
     return Triangles(found.vertices * (1.0 if scale is None else scale), found.faces, found.names)
+
+
+def _by_counts(path: Path) -> Triangles:
+    """The triangles of a binary .msh file: numbers of vertices, normals, texture coordinates and
+    faces (int32), the three arrays (float32), and the corners of the faces (int32).
+
+    Source: MuJoCo, "XML Reference", asset/mesh. Raises MeshError.
+    """
+    data = path.read_bytes()
+    counts = np.frombuffer(data[: len(data) // 4 * 4][:16], "<i4").astype(np.int64)
+    expected = 16 + 4 * int(counts @ [3, 3, 2, 3]) if len(counts) == 4 else None
+    if expected != len(data) or counts.min() < 0:
+        raise MeshError(
+            f"{path.name} is truncated, or not a mesh of MuJoCo",
+            value=f"{len(data)} bytes",
+            limit="a header of 16 bytes" if expected is None else f"{expected} by its header",
+            remedy="copy it again, or export a mesh of Gmsh as STL",
+        )
+    corners, faces = counts[[0, 3]].tolist()
+    vertices = np.frombuffer(data, "<f4", 3 * corners, 16).reshape(-1, 3)
+    rows = np.frombuffer(data, "<i4", 3 * faces, len(data) - 12 * faces).reshape(-1, 3)
+    return Triangles.part(vertices, rows, ())
 
 
 def _by_trimesh(path: Path, kind: str) -> Triangles:
