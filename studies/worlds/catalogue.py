@@ -107,6 +107,8 @@ def catalogue() -> dict[str, World]:
         "force_10": World(hertz, force_error=0.1),
         "force_nominal": World(hertz, nominal_force=True),
         "multiplexed": World(hertz, skew=0.5),
+        "scan_places": World(hertz, skew=0.1, order="places"),
+        "scan_drawn": World(hertz, skew=0.1, order="drawn"),
         "force_drift": World(foam, force_drift=0.2),
         "scatter_03": World(hertz, scatter=0.3e-3),
         "scatter_10": World(hertz, scatter=1e-3),

@@ -46,6 +46,9 @@ class World:
     skew: float = 0.0
     """Frames from the reading of the first channel to that of the last one; the contact moves on
     between them."""
+    order: str = "ids"
+    """Order in which the channels are read: by "ids", along the first axis of the "places", or
+    "drawn", that of the board's wires."""
     nominal_force: bool = False
     """Whether the recorded force is sphere.FORCE in every contact."""
     dwell: tuple[float, float] = (sphere.FRAME, sphere.FRAME)
@@ -84,13 +87,21 @@ class Sample:
         if world.skew:
             columns = [
                 world.pressures(sphere.advanced(touch, late), every[[k]])[:, 0]
-                for k, late in enumerate(np.linspace(0.0, world.skew, len(every)))
+                for k, late in enumerate(self.late(world))
             ]
             pressures = np.stack(columns, axis=1)
         else:
             pressures = world.pressures(touch, every)
         time = self.recording.time
         return self.sensors.exact(pressures[:, : len(at)], near, time, self.dwell)
+
+    def late(self, world: World) -> Array:
+        """Frames (n + g,) after which each taxel is read."""
+        every = np.concatenate([self.positions, self.guard])
+        places = np.argsort(np.argsort(every[:, 0]))
+        drawn = np.random.default_rng(len(every)).permutation(len(every))
+        rank = {"ids": np.arange(len(every)), "places": places, "drawn": drawn}[world.order]
+        return np.asarray(np.linspace(0.0, world.skew, len(every))[rank])
 
 
 def record(world: World, seed: int) -> Sample:

@@ -171,7 +171,7 @@ def _tangential(
         factors.append(ALIKE_CONTACTS)
     departures = {**errors.beyond(added, own), **fields.departure}
     if fit.good is not False:
-        late = held_lags(fitted)
+        late = held_lags(fitted, effects.data.parameters.value("drag", effects.unknowns.s))
         tangential = tangential + late.covariances
         factors += [HELD_LAGS] if late.score > NAMED else []
         departures[HELD_LAGS] = late.score

@@ -45,6 +45,8 @@ values of elastomers by Shore hardness are within a factor of 2; pressures 2 and
 E* by factors of 2.7 and 17, since the patch, too, has to fit."""
 MAX_FAULTY = 0.2
 """Fraction of faulty taxels from which the log is in doubt, not the taxels."""
+AHEAD = 3.0
+"""Standard deviations from which patches are ahead of the contacts, which no friction explains."""
 NAMED = 4
 """Departures that a reason names, the strongest; a strong one raises the scores of similar ones."""
 MIN_DISPLACEMENT = 0.02
@@ -64,6 +66,7 @@ def judge(
         lambda: _fit(data, calibration),
         lambda: _departures(data, calibration, departures),
         lambda: _late(data),
+        lambda: _ahead(data, calibration),
         lambda: _noise(data, calibration),
         lambda: _modulus(data, calibration),
         lambda: verdict.scale(data, calibration),
@@ -201,6 +204,22 @@ def _frames(late: int) -> str:
         return "in time"
     count = "1 frame" if abs(late) == 1 else f"{abs(late)} frames"
     return f"{count} too {'late' if late > 0 else 'early'}"
+
+
+def _ahead(data: Measurements, calibration: Calibration) -> list[Finding]:
+    """Patches ahead of the contacts: readings that are taken some part of a frame after them."""
+    drag, sigma = calibration.unknowns.get("drag", (0.0, np.inf))
+    if drag > -AHEAD * sigma:
+        return []
+    step = float(np.median(np.linalg.norm(np.diff(data.points, axis=0), axis=1)))
+    words = (
+        f"the patches are {-1e3 * drag:.2g} mm ahead of the contacts ({-drag / sigma:.2g} standard "
+        f"deviations, limit {AHEAD:g}): readings are taken {-drag / step:.2g} frames after the "
+        "times of their contacts; taxels that are crossed in one direction do not show whether "
+        "that holds for all: correct the times of the readings, or cross each taxel in several "
+        "directions"
+    )
+    return [(DOUBT, words)]
 
 
 def _modulus(data: Measurements, calibration: Calibration) -> list[Finding]:
