@@ -221,7 +221,8 @@ def first_map(log: Log, could: dict[str, list[StreamMap]], messages: list[Path])
         raise ConfigError(
             "no stream of the log is recognized",
             value=repr_short(sorted(could)),
-            remedy="see with meshskin log whether they have samples, or write the map by hand",
+            remedy="see with meshskin log whether they have samples, or write the map by hand; a "
+            "table needs a column for each joint and taxel",
         )
     return LogMap(_one_part(streams, log), tuple(messages))
 

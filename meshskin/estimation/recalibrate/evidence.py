@@ -86,6 +86,10 @@ class Change:
     log_gain: float = 0.0
     """Estimated change of ln gain."""
     log_gain_sigma: float = 0.0
+    rival: Hypothesis | None = None
+    """The change that is next in probability, where it is not excluded."""
+    log_rival: float = -np.inf
+    """ln of its probability, relative to that of `hypothesis`."""
 
 
 @dataclass(frozen=True)
@@ -291,19 +295,28 @@ def _change(tried: _Trial, errors: Errors, evidence: float) -> Change:
         best = single if total[single] > total[best] - MIN_ODDS else best
     mine = [k for k, kind in enumerate(kinds) if kind == best]
     first = max(mine, key=lambda k: posterior[k])
+    others = {k: v for k, v in total.items() if k != best and (k[0] != best[0] or k[1] >= 0)}
+    rival, ratio = None, -np.inf
+    if others:
+        next_best = max(others, key=lambda kind: float(others[kind]))
+        ratio = float(others[next_best] - total[best])
+        rival = steps[kinds.index(next_best)] if ratio > -MIN_ODDS else None
     share = np.exp(posterior[mine] - logsumexp(posterior[mine]))
     if best[0] not in (MOVED, GAIN):
-        return Change(steps[first], evidence)
+        return Change(steps[first], evidence, rival=rival, log_rival=ratio)
     estimates = [_estimate(tried.blocks[k], errors) for k in mine]
     mean = np.array([m for m, _ in estimates])
     centre = share @ mean
     spread = np.einsum("h,hi,hj->ij", share, mean - centre, mean - centre)
     covariance = spread + np.einsum("h,hij->ij", share, np.array([c for _, c in estimates]))
     if best[0] == MOVED:
-        return Change(steps[first], evidence, shift=centre, shift_covariance=covariance)
+        return Change(
+            steps[first], evidence, shift=centre, shift_covariance=covariance,
+            rival=rival, log_rival=ratio,
+        )  # fmt: skip
     return Change(
         steps[first], evidence, log_gain=float(centre[0]),
-        log_gain_sigma=float(np.sqrt(covariance[0, 0])),
+        log_gain_sigma=float(np.sqrt(covariance[0, 0])), rival=rival, log_rival=ratio,
     )  # fmt: skip
 
 

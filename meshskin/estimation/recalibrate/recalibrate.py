@@ -177,12 +177,23 @@ def _findings(known: SkinMap, found: list[Evidence]) -> tuple[Finding, ...]:
                     "taxel" if alone else known.noun,
                     int(known.ids[rows[h.taxel]] if alone else number),
                     h.state,
-                    _words(known, change),
+                    _words(known, change) + _rival(known, rows, change),
                     change.log_evidence / np.log(10),
                     float(min(1.0, len(found) * np.exp(max(change.log_chance, -700.0)))),
                 )
             )
     return tuple(sorted(out, key=lambda finding: -finding.evidence))
+
+
+def _rival(known: SkinMap, rows: np.ndarray, change: Change) -> str:
+    """Words on the change that the readings do not exclude in place of this one; "" without any."""
+    h = change.rival
+    if h is None:
+        return ""
+    what = f"taxel {known.ids[rows[h.taxel]]}" if h.taxel >= 0 else f"the {known.noun}"
+    odds = np.exp(change.log_rival)
+    verb = "has another gain" if h.state == GAIN else f"is {h.state}"
+    return f"; or {what} {verb}, {odds:.2g} times as probable: touch it again"
 
 
 def _words(known: SkinMap, change: Change) -> str:

@@ -1,6 +1,7 @@
 """An earlier map tested by a few touches."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -14,6 +15,7 @@ from meshskin.estimation.recalibrate import errors as errors_module
 from meshskin.estimation.recalibrate import evidence, readings
 from meshskin.estimation.recalibrate.hypotheses import (
     CONFIRMED,
+    DEAD,
     EXCHANGED,
     GAIN,
     MOVED,
@@ -26,6 +28,7 @@ from meshskin.estimation.recalibrate.hypotheses import (
     regained,
     unchanged,
 )
+from meshskin.estimation.recalibrate.recalibrate import _rival, _words
 from meshskin.estimation.recalibrate.result import updated
 from meshskin.estimation.recalibrate.skin_map import skin_map, turns
 from meshskin.estimation.recalibrate.touches import Block, Errors, Touches
@@ -482,3 +485,23 @@ def test_false_alarms_of_single_taxels_are_rarer_than_stated(sphere):
         recording = ms.press(scene, points[:24], seed=seed)
         alarms += bool(ms.recalibrate(map_, recording, belief, false_alarm=0.1).findings)
     assert alarms <= 12
+
+
+@pytest.mark.parametrize(
+    ("odds", "words"),
+    [
+        (0.2, "dead: silent where it was pressed; or taxel 31 has another gain, 0.2 times as "
+         "probable: touch it again"),
+        (0.001, "dead: silent where it was pressed"),
+    ],
+)  # fmt: skip
+def test_a_change_that_is_not_excluded_is_named(odds, words):
+    none = np.zeros((3, 3))
+    base = Hypothesis(CONFIRMED, none, none, np.zeros(3), np.zeros((3, 3, 3)))
+    steps = [replace(base, state=DEAD, taxel=2), replace(base, state=GAIN, taxel=1)]
+    blocks = [SimpleNamespace(hypothesis=step) for step in steps]
+    tried = SimpleNamespace(blocks=blocks, posterior=np.log([1.0, odds]))
+    change = evidence._change(tried, None, 9.0)
+    known = SimpleNamespace(ids=np.array([30, 31, 32]), noun="module")
+    said = _words(known, change) + _rival(known, np.arange(3), change)
+    assert said == words
