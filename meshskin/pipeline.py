@@ -95,7 +95,8 @@ def run(
     check_integer("seed", seed, least=0)
     seconds = math.inf if request is None or request.seconds is None else request.seconds
     deadline = Deadline(seconds) if began is None else Deadline(seconds, began)
-    job = _Job(name, Path(folder), seed, deadline, progress, StageTimer())
+    timer = StageTimer({} if began is None else {"start": deadline.spent[0]})
+    job = _Job(name, Path(folder), seed, deadline, progress, timer)
     plan = _planned(job, _loaded(job, budget), request)
     done, choice = _calibrated(job, plan)
     done.calibration.save(job.folder / "calibration")

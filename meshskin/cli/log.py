@@ -69,6 +69,7 @@ def command(options: argparse.Namespace) -> int:
     """Print the streams; write the map and the recording where asked for."""
     from ..core.atomic_io import check_writable, write_text
     from ..core.errors import ConfigError
+    from ..recording.csv_log import NAMES
     from ..recording.log_map import LogMap
     from ..recording.readers import read_and_suggest
     from ..robot.robot import Robot
@@ -94,6 +95,8 @@ def command(options: argparse.Namespace) -> int:
         print(line)
     if robot is not None:
         _compare_joints(options, could, robot)
+    if all((options.log / name).is_file() for name in NAMES):
+        print(f"no map is needed: meshskin calibrate {options.log} reads {' and '.join(NAMES)}")
     if options.write_map is not None:
         write_text(options.write_map, first_map(log, could, options.messages).to_toml())
         print(f"map: {options.write_map}")

@@ -150,7 +150,7 @@ def _errors(m: dict[str, Any]) -> list[str]:
 
 def _promise(promise: dict[str, Any]) -> str:
     """What was predicted of the run, and what came of it."""
-    said, came = "nothing", promise["came_to"]
+    said, came = "no prediction", promise["came_to"]
     if promise["error_mm"] is not None:
         said = f"{promise['error_mm']:.3g} mm in {promise['seconds']:.3g} s"
     return (

@@ -44,6 +44,10 @@ UTF16 = (b"\xff\xfe", b"\xfe\xff")
 """First bytes of a file in UTF-16."""
 
 
+NAMES = "contacts.csv", "readings.csv"
+"""Names of the files of a log in a folder of its own."""
+
+
 def find(path: Path) -> tuple[Path, Path] | None:
     """The CSV files of contacts and of readings at `path`; None if there is neither.
 
@@ -51,7 +55,7 @@ def find(path: Path) -> tuple[Path, Path] | None:
     RecordingError if one of the two is missing.
     """
     for contacts, readings in (
-        (path / "contacts.csv", path / "readings.csv"),
+        (path / NAMES[0], path / NAMES[1]),
         (path.parent / f"{path.name}.contacts.csv", path.parent / f"{path.name}.readings.csv"),
     ):
         missing = [file for file in (contacts, readings) if not file.is_file()]

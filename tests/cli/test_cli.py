@@ -92,7 +92,7 @@ def test_metrics_hold_the_contract_and_the_paper_is_beaten(run):
     assert force["mean_n"] == pytest.approx(force["reference_n"], rel=0.01)
     assert force["settling_s"] < 0.1
     assert force["lost_contact_steps"] == 0
-    assert {"load", "simulate", "calibrate", "report"} <= set(m["seconds"])
+    assert {"start", "load", "simulate", "calibrate", "report"} <= set(m["seconds"])
     assert m["steps_per_second"] > 0
 
 

@@ -130,6 +130,10 @@ def test_init_says_that_a_log_needs_no_map(tmp_path, monkeypatch, capsys):
     assert "needs no map" in said
     assert "meshskin calibrate log" in said
     assert not (tmp_path / "log_map.toml").exists()
+    body = ["--body", "ball.stl", "--units", "m", "--indenter-radius-mm", "10", "--raw"]
+    trimesh.creation.icosphere(3, 0.1).export("ball.stl")
+    assert cli.main(["calibrate", "log/contacts.csv", *body, "--out", "out"]) == 2
+    assert "one of the two files of a log; give their folder, log" in capsys.readouterr().err
     assert cli.main(["init", "log", "--units", "mm"]) == 2
     assert "--units is for a mesh, got log; leave it out" in capsys.readouterr().err
 
