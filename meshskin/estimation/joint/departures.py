@@ -13,7 +13,7 @@ Mathematical Proceedings of the Cambridge Philosophical Society 44 (1948).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 
@@ -28,7 +28,6 @@ from .friction import shears
 from .joint_estimator import JointEstimator
 from .parametrization import SurfaceParametrization
 from .pressure import OBSERVED, costs
-from .reading_sums import CONTACT_SIZE
 from .readings import Readings
 
 CONTACT_ERRORS = "errors of the contacts"
@@ -213,17 +212,6 @@ class FittedReadings:
         for k, part in enumerate(np.moveaxis(found, 2, 0)):
             left[:, k] -= np.einsum("ak,ka->k", self.own, part[self.readings.taxel])
         return left, left
-
-    def without_contact_errors(self) -> FittedReadings:
-        """The readings of single taxels, the others known: the errors of their contacts are noise
-        of theirs."""
-        if self.system is None:
-            return self
-        jacobian = self.jacobian[:, -CONTACT_SIZE:]
-        inverse = np.linalg.inv(self.system.contacts)[self.readings.contact]
-        square = np.einsum("ka,kab,kb->k", jacobian, inverse, jacobian)
-        curvature = self.curvature * np.maximum(1 - self.curvature * square, 0.0)
-        return replace(self, curvature=curvature, system=None)
 
     def displaced(self, columns: Array) -> Array:
         """Displacements (n, 2, q) of taxels by errors `columns` (k, q)."""

@@ -16,12 +16,14 @@ Science 14 (1999).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import expit, logit
 
 from ...core.arrays import Array
 from .departures import FittedReadings
+from .reading_sums import CONTACT_SIZE
 from .small_effects import SmallEffects
 
 TOGETHER = 0.8
@@ -56,15 +58,16 @@ def held_lags(fitted: FittedReadings, drag: float = 0.0) -> SmallEffects:
     unit = float(np.median(steps)) / 12**0.5 if len(steps) else 0.0
     if not unit > 0 or "skew" in data.parameters.nuisance_names:  # each taxel's is estimated
         return SmallEffects.none(n)
-    late, alone = unit * fitted.moved(data.headway[:, :, None]), fitted.without_contact_errors()
+    late, alone = unit * fitted.moved(data.headway[:, :, None]), _of_single_taxels(fitted)
     variances = np.array([drag**2 / PRIOR[0] / unit**2]) if drag else SPREADS**2
     order, places = np.argsort(np.argsort(data.ids[fitted.readings.live])), fitted.points
     of_ids, by_place = (order[:, None] + 0.5) / n, places - places.mean(axis=0)
     trials = [
         *_of_a_scan(fitted, late, variances, drag, of_ids - of_ids.mean()),
         *_of_a_scan(fitted, late, variances, drag, by_place),
-        *_of_their_own(alone, late, variances, drag),
     ]
+    if fitted.system is None or drag:  # else errors of the contacts pass for lags of single taxels
+        trials += _of_their_own(alone, late, variances, drag)
     gain, square = (np.array(part) for part in zip(*trials, strict=True))
     largest = float(gain.max())
     weight = np.exp(gain - largest)
@@ -77,6 +80,23 @@ def held_lags(fitted: FittedReadings, drag: float = 0.0) -> SmallEffects:
     mean = raised * (weight / weight.sum()) @ square
     score = (2 * max(evidence, 0.0)) ** 0.5
     return SmallEffects(score, np.zeros((n, 2)), mean[:, None, None] * along)
+
+
+def contact_leverages(fitted: FittedReadings) -> Array:
+    """Leverages (k,) of the readings in the errors of their contacts, the other unknowns known;
+    zero where contacts have none."""
+    if fitted.system is None:
+        return np.zeros_like(fitted.mu)
+    jacobian = fitted.jacobian[:, -CONTACT_SIZE:]
+    inverse = np.linalg.inv(fitted.system.contacts)[fitted.readings.contact]
+    return np.asarray(fitted.curvature * np.einsum("ka,kab,kb->k", jacobian, inverse, jacobian))
+
+
+def _of_single_taxels(fitted: FittedReadings) -> FittedReadings:
+    """The readings of each taxel as if the others were known: what is not known of the errors of
+    its contacts is noise of its readings."""
+    free = np.maximum(1 - contact_leverages(fitted), 0.0)
+    return replace(fitted, curvature=fitted.curvature * free, system=None)
 
 
 def _of_a_scan(

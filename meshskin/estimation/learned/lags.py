@@ -19,7 +19,7 @@ import numpy as np
 from ...core.arrays import Array
 from ..joint.departures import WIDTHS, FittedReadings
 from ..joint.electronics import WIDTH, Electronics
-from ..joint.reading_sums import CONTACT_SIZE
+from ..joint.held_lags import contact_leverages
 from ..joint.small_effects import SmallEffects, most_likely
 
 LAGS = "lags of the readings with several time constants or widths"
@@ -62,8 +62,4 @@ def _columns(fitted: FittedReadings) -> Array:
 
 def contact_leverage(fitted: FittedReadings) -> float:
     """Mean leverage of the readings in the errors of their contacts, the other unknowns known."""
-    assert fitted.system is not None
-    jacobian = fitted.jacobian[:, -CONTACT_SIZE:]
-    inverse = np.linalg.inv(fitted.system.contacts)[fitted.readings.contact]
-    square = np.einsum("ka,kab,kb->k", jacobian, inverse, jacobian)
-    return float(np.mean(fitted.curvature * square))
+    return float(np.mean(contact_leverages(fitted)))
