@@ -495,3 +495,24 @@ def test_forces_are_no_joints(tmp_path):
     given = StreamMap("wrench", "joints", ("f?",))
     with pytest.raises(RecordingError, match=r"no joints, got fx, fy, fz; write kind = .wrench.*"):
         read_log(csv(tmp_path / "log.csv"), LogMap((given,)))
+
+
+def test_a_file_of_a_folder_that_is_no_log_is_left_out(tmp_path):
+    csv(tmp_path / "arm.csv")
+    (tmp_path / "notes.csv").write_text("robot,place\nur5,lab\n")
+    log, _ = read_and_suggest(tmp_path)
+    assert {stream.name.partition("/")[0] for stream in log.streams} == {"arm"}
+    assert "notes.csv is left out: notes.csv has no column of times" in log.notes[0]
+    assert len(read_log(tmp_path, LogMap((StreamMap("arm/q_*", "joints"),))).streams) == 1
+    (tmp_path / "skin.parquet").write_bytes(b"PAR1")
+    with pytest.raises(RecordingError, match=r"skin.parquet cannot be read.*torn"):
+        read_log(tmp_path, LogMap((StreamMap("skin/skin_*", "taxels"),)))
+
+
+def test_the_rows_of_a_list_may_be_missing(tmp_path):
+    table = pa.table({"time": [0.0, 0.1, 0.2], "q": [[1.0, None], None, [3.0, 4.0]]})
+    pq.write_table(table, tmp_path / "a.parquet")
+    given = LogMap((StreamMap("q[*]", "joints"),))
+    (stream,) = read_log(tmp_path / "a.parquet", given).streams
+    np.testing.assert_array_equal(stream.values, [[1, np.nan], [3, 4]])
+    np.testing.assert_array_equal(stream.times, [0.0, 0.2])

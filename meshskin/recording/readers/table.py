@@ -59,19 +59,27 @@ def read(
     folder = path.is_dir()
     files = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES) if folder else [path]
     groups: dict[str, tuple[Path, list[str]]] = {}
+    streams, could = list[Stream](), dict[str, list[StreamMap]]()
+    notes, failed = list[str](), dict[str, RecordingError]()
     for file in files:
-        for group, columns in groups_of(_opened(file).names).items():
-            groups[f"{file.stem}/{group}" if folder else group] = file, columns
-    streams, notes, could = list[Stream](), list[str](), dict[str, list[StreamMap]]()
-    if log_map is None:
-        for file in files:
-            own = {group: columns for group, (at, columns) in groups.items() if at == file}
-            found = _listed(file, own, notes, progress)
-            streams += [stream for stream, _ in found]
-            could |= {stream.name: maps for stream, maps in found}
-        return Log(path, tuple(streams), tuple(dict.fromkeys(notes))), could
+        try:
+            found = groups_of(_opened(file).names)
+            own = {f"{file.stem}/{k}" if folder else k: columns for k, columns in found.items()}
+            listed = [] if log_map is not None else _listed(file, own, notes, progress)
+        except RecordingError as error:
+            failed[file.stem] = error
+            notes.append(f"{file.name} is left out: {error}")
+            continue
+        groups |= {group: (file, columns) for group, columns in own.items()}
+        streams += [stream for stream, _ in listed]
+        could |= {stream.name: maps for stream, maps in listed}
+    if len(failed) == len(files):
+        raise failed[files[0].stem]
     hidden = None if progress else True  # None: hidden where stderr is no terminal
-    for given in tqdm(log_map.streams, path.name, leave=False, disable=hidden):
+    every = () if log_map is None else log_map.streams
+    for given in tqdm(every, path.name, leave=False, disable=hidden):
+        if (refused := failed.get(given.topic.partition("/")[0])) is not None:
+            raise refused
         file, columns = _choose(given.topic, given, groups, path)
         streams.append(_stream(given, file, columns, notes))
     return Log(path, tuple(streams), tuple(dict.fromkeys(notes))), could
