@@ -9,7 +9,7 @@ matplotlib: import it where a picture is drawn.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from .arrays import Array, means_by_group
+from .palette import PALETTE
 
 MM = 1e3
 """Millimetres per metre."""
@@ -304,12 +305,23 @@ def bars(
 
 
 def curves(
-    ax: Axes | None, rows: Iterable[tuple[str, Sequence[Any], Sequence[float]]], x: str, y: str
+    ax: Axes | None,
+    rows: Iterable[tuple[str, Sequence[Any], Sequence[Sequence[float]]]],
+    x: str,
+    y: str,
+    colors: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Draw one line with marks a row (label, x values, y values); texts of x become categories."""
+    """Draw one line a row (label, x values, y values of each): means, and all values as faint dots.
+
+    Texts of x become categories. colors: of labels; others have those of PALETTE in turn.
+    """
     with _drawn(ax) as ax:
-        for label, across, up in rows:
-            ax.plot(across, up, "o-", ms=3, lw=1, label=label)
+        for k, (label, across, values) in enumerate(rows):
+            color = (colors or {}).get(label, PALETTE[k % len(PALETTE)])
+            means = [float(np.mean(each)) for each in values]
+            ax.plot(across, means, "o-", ms=3, lw=1, color=color, label=label)
+            single = [(at, y) for at, each in zip(across, values, strict=True) for y in each]
+            ax.scatter(*zip(*single, strict=True), s=14, lw=0, alpha=0.3, color=color)
         ax.set(xlabel=x, ylabel=y)
         ax.spines[["top", "right"]].set_visible(False)
         handles, labels = ax.get_legend_handles_labels()
