@@ -2,9 +2,24 @@
 colour-blind readers, and others that can be told from them.
 """
 
+INK = "#1f2328"
+"""Text."""
 MUTED = "#6b7280"
 """What is less important than others."""
+FAINT = "#d5d9de"
+"""Lines of a grid."""
+ESTIMATE = "#0072b2"
+"""What was estimated."""
+TRUTH = "#5f6b7a"
+"""The truth of a simulation."""
+BOUND = "#cc79a7"
+"""The Cramér-Rao bound."""
+WARNING = "#d55e00"
+"""What is wrong, or left out."""
+SEQUENTIAL = "cividis"
+"""Color map of values in an order."""
 PALETTE = ("#0072b2", "#009e73", "#e69f00", "#56b4e9", "#cc79a7", "#7b4fa3", "#b59f00", "#8c4a2f")
+"""Lines in turn."""
 METHOD_COLOURS = {
     "joint": "#0072b2",
     "trilateration": "#009e73",

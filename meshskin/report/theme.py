@@ -15,25 +15,19 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
+from ..core import palette
 from ..core.arrays import Array
 from ..core.atomic_io import atomic
-from ..core.palette import METHOD_COLOURS as METHOD_COLOURS
-from ..core.palette import PALETTE as PALETTE
-from ..core.palette import method_colour as method_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# The palette of Okabe and Ito, safe for colour-blind readers; each colour has one meaning.
-INK = "#1f2328"
-MUTED = "#6b7280"
-FAINT = "#d5d9de"
-TRUTH = "#5f6b7a"
-ESTIMATE = "#0072b2"
-WARNING = "#d55e00"
-BOUND = "#cc79a7"
-SEQUENTIAL = "cividis"
+# Each colour has one meaning, in the figures of studies and notebooks, too.
+INK, MUTED, FAINT = palette.INK, palette.MUTED, palette.FAINT
+ESTIMATE, TRUTH, BOUND = palette.ESTIMATE, palette.TRUTH, palette.BOUND
+WARNING, SEQUENTIAL, PALETTE = palette.WARNING, palette.SEQUENTIAL, palette.PALETTE
+METHOD_COLOURS, method_colour = palette.METHOD_COLOURS, palette.method_colour
 
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
