@@ -54,7 +54,7 @@ def find(path: Path) -> tuple[Path, Path] | None:
     They are in the folder `path`, or `path` is the common part of their names. Raises
     RecordingError if one of the two is missing, or `path` is one of them.
     """
-    if path.name in NAMES and path.is_file():
+    if path.name in NAMES and all((path.parent / name).is_file() for name in NAMES):
         raise RecordingError(
             f"{path} is one of the two files of a log", remedy=f"give their folder, {path.parent}"
         )
