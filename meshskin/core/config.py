@@ -199,7 +199,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 @functools.cache
-def _stem(key: str) -> str:
+def stem(key: str) -> str:
     """A key without the suffix of its unit."""
     units = sorted((u for table in UNITS.values() for u in table if u), key=len, reverse=True)
     return next((key.removesuffix(f"_{u}") for u in units if key.endswith(f"_{u}")), key)
@@ -210,8 +210,8 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
     A quantity of `over` replaces that of `base` in any unit.
     """
-    taken = {_stem(key) for key in over}
-    out = {key: value for key, value in base.items() if key in over or _stem(key) not in taken}
+    taken = {stem(key) for key in over}
+    out = {key: value for key, value in base.items() if key in over or stem(key) not in taken}
     for key, value in over.items():
         if isinstance(value, Mapping) and isinstance(out.get(key), Mapping):
             out[key] = merge(out[key], value)

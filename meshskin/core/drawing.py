@@ -9,7 +9,7 @@ matplotlib: import it where a picture is drawn.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from .arrays import Array, means_by_group
+from .palette import ESTIMATE, INK, PALETTE, SEQUENTIAL
 
 MM = 1e3
 """Millimetres per metre."""
@@ -41,9 +42,6 @@ SMALL_POINTS = 100
 """Pixels of the page per inch of a picture on a card."""
 DPI = 200
 """Pixels per inch of an image file: two for each pixel of the page."""
-INK, ACCENT, WARNING = "#1f2328", "#0072b2", "#d55e00"
-"""Text, dots, and what is wrong: colours of the report (Okabe and Ito)."""
-SEQUENTIAL = "cividis"
 BODY = np.array([0.80, 0.82, 0.85])
 """Colour of a body that faces the light."""
 LIGHT = np.array([0.35, 0.55, 0.76])
@@ -198,7 +196,7 @@ def _draw_dots(
     shown = np.ones(len(rows)) if normals is None else normals[rows] @ view.axes[2]
     alpha = np.where(shown >= -1e-9, 1.0, HIDDEN)
     wide = np.full(len(rows), 2.0 * MM * radius)
-    style: dict[str, Any] = {"linewidths": 0.0, "zorder": 3, "facecolors": ACCENT}
+    style: dict[str, Any] = {"linewidths": 0.0, "zorder": 3, "facecolors": ESTIMATE}
     if values is not None and len(rows) <= EDGED:  # on a body, grey values would not stand out
         style |= {"linewidths": 0.4, "edgecolors": "white"}
     dots = EllipseCollection(
@@ -293,7 +291,7 @@ def bars(
     """Draw horizontal bars on a logarithmic axis, the first on top; those not `on` are grey."""
     with _drawn(ax) as ax:
         rows = np.arange(len(names))
-        ax.barh(rows, values, color=[ACCENT if one else "#b6bcc4" for one in on])
+        ax.barh(rows, values, color=[ESTIMATE if one else "#b6bcc4" for one in on])
         ax.set_yticks(rows, names)
         ax.invert_yaxis()
         if any(value > 0 for value in values):
@@ -304,12 +302,24 @@ def bars(
 
 
 def curves(
-    ax: Axes | None, rows: Iterable[tuple[str, Sequence[Any], Sequence[float]]], x: str, y: str
+    ax: Axes | None,
+    rows: Iterable[tuple[str, Sequence[Any], Sequence[Sequence[float]]]],
+    x: str,
+    y: str,
+    colors: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Draw one line with marks a row (label, x values, y values); texts of x become categories."""
+    """Draw one line a row (label, x values, y values of each): means, and all values as faint dots.
+
+    Texts of x become categories. colors: of labels; others have those of PALETTE in turn.
+    """
     with _drawn(ax) as ax:
-        for label, across, up in rows:
-            ax.plot(across, up, "o-", ms=3, lw=1, label=label)
+        for k, (label, across, values) in enumerate(rows):
+            color = (colors or {}).get(label, PALETTE[k % len(PALETTE)])
+            means = [float(np.mean(each)) for each in values]
+            ax.plot(across, means, "o-", ms=3, lw=1, color=color, label=label)
+            where = [at for at, each in zip(across, values, strict=True) for _ in each]
+            single = [value for each in values for value in each]
+            ax.scatter(where, single, s=14, lw=0, alpha=0.3, color=color)
         ax.set(xlabel=x, ylabel=y)
         ax.spines[["top", "right"]].set_visible(False)
         handles, labels = ax.get_legend_handles_labels()

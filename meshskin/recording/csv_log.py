@@ -52,8 +52,12 @@ def find(path: Path) -> tuple[Path, Path] | None:
     """The CSV files of contacts and of readings at `path`; None if there is neither.
 
     They are in the folder `path`, or `path` is the common part of their names. Raises
-    RecordingError if one of the two is missing.
+    RecordingError if one of the two is missing, or `path` is one of them.
     """
+    if path.name in NAMES and all((path.parent / name).is_file() for name in NAMES):
+        raise RecordingError(
+            f"{path} is one of the two files of a log", remedy=f"give their folder, {path.parent}"
+        )
     for contacts, readings in (
         (path / NAMES[0], path / NAMES[1]),
         (path.parent / f"{path.name}.contacts.csv", path.parent / f"{path.name}.readings.csv"),

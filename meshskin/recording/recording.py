@@ -327,11 +327,6 @@ class Recording(Value, Card):
                 tables[part], headers[part] = read_table(file)
             elif part != "motion":
                 if path.is_file():
-                    if path.name in csv_log.NAMES:
-                        raise RecordingError(
-                            f"{path} is one of the two files of a log",
-                            remedy=f"give their folder, {path.parent}",
-                        )
                     raise RecordingError(
                         f"{path} is one file, which needs a map that says what its columns are",
                         remedy=f"meshskin init {path} writes one; then --map, or ms.read_log",

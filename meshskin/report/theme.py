@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
+from ..core import palette
 from ..core.arrays import Array
 from ..core.atomic_io import atomic
 
@@ -22,31 +23,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# The palette of Okabe and Ito, safe for colour-blind readers; each colour has one meaning.
-INK = "#1f2328"
-MUTED = "#6b7280"
-FAINT = "#d5d9de"
-TRUTH = "#5f6b7a"
-ESTIMATE = "#0072b2"
-WARNING = "#d55e00"
-BOUND = "#cc79a7"
-PALETTE = ("#0072b2", "#009e73", "#e69f00", "#56b4e9", "#cc79a7", "#7b4fa3", "#b59f00", "#8c4a2f")
-METHOD_COLOURS = {
-    "joint": "#0072b2",
-    "trilateration": "#009e73",
-    "three_circles": "#e69f00",
-    "eq15": "#56b4e9",
-    "posegraph": "#cc79a7",
-    "posegraph_isotropic": "#7b4fa3",
-    "posegraph_paper": "#b59f00",
-    "centroid": "#8c4a2f",
-    "coactivation": "#e34a9b",
-    "hertz": "#7fb800",
-    "hertz_gain": "#3d5a00",
-    "learned": "#c1121f",
-}
-"""The colour of each method, and of the joint estimate's variants, in every figure."""
-SEQUENTIAL = "cividis"
+# Each colour has one meaning, in the figures of studies and notebooks, too.
+INK, MUTED, FAINT = palette.INK, palette.MUTED, palette.FAINT
+ESTIMATE, TRUTH, BOUND = palette.ESTIMATE, palette.TRUTH, palette.BOUND
+WARNING, SEQUENTIAL, PALETTE = palette.WARNING, palette.SEQUENTIAL, palette.PALETTE
+METHOD_COLOURS, method_colour = palette.METHOD_COLOURS, palette.method_colour
 
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -92,11 +73,6 @@ def styled(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
 
     return inner
-
-
-def method_colour(method: str) -> str:
-    """The color of a method; that of what is less important for others."""
-    return METHOD_COLOURS.get(method, MUTED)
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -6,6 +6,7 @@ import pyarrow as pa
 import pytest
 
 from meshskin.core.errors import StudyError
+from meshskin.core.palette import METHOD_COLOURS
 from meshskin.study.sweep.study_table import StudyTable
 
 COLUMNS = {
@@ -48,6 +49,18 @@ def test_a_figure_has_a_line_for_each_value_of_the_second_parameter(results):
     assert [line.get_ydata().tolist() for line in axes.lines] == [[2.0, 2.0]]
     with pytest.raises(StudyError, match="no such column"):
         results.plot(y="mean")
+
+
+def test_a_figure_names_quantities_shows_single_cases_and_has_the_colours_of_methods():
+    columns = {"skin.spacing_mm": [4, 4, 8, 8], "seed": [0, 1] * 2, "rms": [1.0, 3.0, 2.0, 4.0]}
+    columns |= {"status": ["done"] * 4, "method": ["centroid", "centroid", "joint", "joint"]}
+    results = StudyTable(pa.table(columns), ("skin.spacing_mm",))
+    (axes,) = results.plot(y="rms", by="method").axes
+    assert axes.get_xlabel() == "skin, spacing (mm)"
+    colours = {line.get_label(): line.get_color() for line in axes.lines}
+    assert colours["method = centroid"] == METHOD_COLOURS["centroid"]
+    dots = [artist.get_offsets().tolist() for artist in axes.collections]
+    assert dots == [[[4, 1], [4, 3]], [[8, 2], [8, 4]]]
 
 
 def test_a_study_without_results_says_so(results):

@@ -104,7 +104,7 @@ class Costs(Card, Tabular):
         """Draw the errors of the front over its seconds; ax: matplotlib axes (None: a figure)."""
         from ...core import drawing
 
-        line = ([row.time for row in self.front], [row.total_mm for row in self.front])
+        line = ([row.time for row in self.front], [[row.total_mm] for row in self.front])
         return drawing.curves(ax, [("", *line)], "processor seconds", "error (mm)")
 
     def to_arrow(self) -> pa.Table:

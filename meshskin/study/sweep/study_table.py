@@ -6,10 +6,10 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from ...core import config
 from ...core.errors import StudyError
 from ...core.notebook import Card, Tabular
+from ...core.palette import METHOD_COLOURS
 from ...core.value import Value
 
 if TYPE_CHECKING:
@@ -21,6 +21,8 @@ USUAL = "position_error_mm.mean"
 """The result that a figure shows where the study has it."""
 MAX_LINES = 8
 """Lines of a figure: more cannot be distinguished."""
+SYMBOLS = {"pa": "Pa", "kpa": "kPa", "mpa": "MPa", "gpa": "GPa", "hz": "Hz", "n": "N", "n_m": "N m"}
+"""Symbols of units with capital letters, by the suffix of a column's name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +76,10 @@ class StudyTable(Value, Card, Tabular):
     ) -> Figure:
         """Draw the mean of the result `y` over `x`, one line for each value of `by`.
 
-        All other parameters and the seeds are averaged over. y: by default the mean position error,
-        or else the first result; x and by: the first two parameters with several values. ax:
-        matplotlib axes; None: those of a new figure. Raises StudyError for an unknown column, and
-        where no case has a result.
+        All other parameters and the seeds are averaged over; faint dots are single cases. y: by
+        default the mean position error, or else the first result; x and by: the first two
+        parameters with several values. ax: matplotlib axes; None: those of a new figure. Raises
+        StudyError for an unknown column, and where no case has a result.
         """
         from ...core import drawing
 
@@ -96,12 +98,24 @@ class StudyTable(Value, Card, Tabular):
         for line in _distinct(row[0] for row in rows)[:MAX_LINES]:
             own = [(at, value) for label, at, value in rows if label == line and value is not None]
             across = _distinct(at for at, _ in own)
-            means = [float(np.mean([v for a, v in own if a == at])) for at in across]
-            lines.append(("" if by is None else f"{by.rpartition('.')[2]} = {line}", across, means))
-        return drawing.curves(ax, lines, x, y)
+            values = [[v for a, v in own if a == at] for at in across]
+            label = "" if by is None else f"{by.rpartition('.')[2]} = {line}"
+            lines.append((label, across, values))
+        colors = {f"method = {method}": color for method, color in METHOD_COLOURS.items()}
+        return drawing.curves(ax, lines, _axis(x), _axis(y), colors)
 
     def _column(self, name: str | None) -> list[Any]:
         return [None] * self.table.num_rows if name is None else self.table.column(name).to_pylist()
+
+
+def _axis(name: str) -> str:
+    """The end of a column's name: effects.friction.young_kpa reads "friction, young (kPa)"."""
+    words = []
+    for part in name.split(".")[-2:]:
+        plain = config.stem(part)
+        unit = part[len(plain) + 1 :]
+        words.append(f"{plain} ({SYMBOLS.get(unit, unit)})" if unit else plain)
+    return ", ".join(words).replace("_per_", "/").replace("_", " ")
 
 
 def _distinct(values: Any) -> list[Any]:
