@@ -1,4 +1,4 @@
-"""Whether the samples of a stream are those of one sensor: messages of garbage, streams in turn."""
+"""Checks that the samples of a stream are of one sensor: garbage, and two publishers in turn."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ SAMPLES = 20_000
 BLOCK, BLOCKS = 500, 40
 """Consecutive samples that are compared, and blocks of them along the stream."""
 ALTERNATING = 2.0
-"""Mean square of the differences of consecutive samples, in relation to that of every other one,
-from which these are of two streams: 1 of noise, less of motion."""
+"""Ratio of the mean squared difference of consecutive samples to that of every other sample, from
+which the samples are of two streams: 1 for noise, less for motion."""
 EVEN = 0.1
 """Difference of every other interval from the ones between, in their sum, up to which samples are
 evenly spaced: those of two publishers are by chance alone."""

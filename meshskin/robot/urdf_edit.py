@@ -1,4 +1,4 @@
-"""URDF text with joints and shapes elsewhere; all else is kept, to the byte."""
+"""Edits of URDF text: zero positions of joints, poses and sizes of shapes, and nothing else."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ _START_TAG = re.compile(rb"""(?:[^>"']|"[^"]*"|'[^']*')*>""")
 
 
 def with_moved_zeros(urdf: str, joints: Mapping[str, tuple[Joint, float]]) -> str:
-    """URDF text in which joints are, at zero, where they were at other positions, rad or m.
+    """URDF text with other zero positions of joints.
 
-    joints: each of them by name, with that position. Only the tags of their origins are changed.
+    joints: by name, each joint and its present position, rad or m, that becomes zero. Only the tags
+    of their origins are changed.
     """
     tags = _tags(urdf.encode())
     edits = []

@@ -77,8 +77,8 @@ def _extended(file: Path, name: Any) -> Path:
 
 
 def _located(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The tables of a scene with its relative paths from `folder` on, but for shipped files that
-    are not there."""
+    """The tables of a scene with its relative paths resolved against `folder`; names of shipped
+    files that `folder` lacks are unchanged."""
 
     def located(value: Any) -> Any:
         if isinstance(value, list):

@@ -229,7 +229,7 @@ class ExplorationStateMachine:
             motion = motion[len(steps.time) :]
 
     def _float(self, goal: Array) -> Iterator[Steps]:
-        """Without an arm: up, as far as turning needs, and over to `goal` (4, 4), in the air.
+        """Without an arm: lift off until the body is free to turn, and move to `goal` (4, 4).
 
         Raises PlaceError where the body meets the indenter on each of these paths.
         """

@@ -1,5 +1,7 @@
 """The body's mass at the arm's tip against pinocchio."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import casadi as ca
@@ -60,3 +62,15 @@ def test_an_open_body_weighs_as_its_convex_hull_and_a_quasi_static_loop_asks_no_
     assert ClosedLoopModel.of(scene).arm.urdf == ClosedLoopModel.of(hull).arm.urdf
     still = scene.with_(loop=replace(scene.loop, mode="quasi_static"))
     assert ClosedLoopModel.of(still).arm is scene.arm
+
+
+def test_the_loop_of_a_primitive_is_made_without_trimesh():
+    """Its import takes 0.6 s."""
+    code = """
+import sys, meshskin as ms
+from meshskin.simulation.closed_loop_model import ClosedLoopModel
+scene = ms.Scene.load("sphere")
+assert ClosedLoopModel.of(scene).arm is not scene.arm
+assert "trimesh" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -23,7 +23,8 @@ from . import trilaterate
 from .circles import SLOPE_FLOOR, Circles
 
 DRAWS = 20
-"""Times that three readings are drawn at most: of contacts in lanes, a fifth are near a line."""
+"""Largest number of draws of three readings; with contacts in lanes, the contacts of a fifth of the
+draws lie near a line."""
 FACTORS = (
     "distances of three readings drawn at random, by eq. 15 at the nominal E*, as of points",
     SURFACE,
@@ -33,8 +34,8 @@ FACTORS = (
 def estimate(data: Measurements, rng: np.random.Generator | None = None) -> EstimatorResult:
     """Each taxel from three of its readings, drawn at random.
 
-    rng: draws the readings; by default those of a call are the same as of every other. The
-    covariance holds the noise of the readings and the error of eq. 15 for a disc.
+    rng: draws the readings; by default every call draws the same ones. The covariance includes the
+    noise of the readings and the error of eq. 15 for a disc.
     """
     draw = random_stream(0, "eq. 15") if rng is None else rng
     charts = chart.charts_at(data.body, trilaterate.starts(data))
@@ -92,8 +93,8 @@ def point_circles(data: Measurements, rows: np.ndarray, owner: np.ndarray, count
 def _covariance(found: Circles, fit: EstimatorResult) -> Array:
     """Covariance (n, 2, 2), m^2, of the radical centres that errors of the distances cause.
 
-    Other than the information of the circles, it holds for equal weights, and where a distance is
-    small against its error.
+    Unlike the information of the circles, it is valid for equal weights, and for distances that are
+    small against their errors.
     """
     own, good = found.owner, fit.found
     c, _ = found.conic(found.centres - fit.points[own], fit.rotations[own, :, :2])
