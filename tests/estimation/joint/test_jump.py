@@ -1,9 +1,9 @@
 """A jump of the contacts: a place in the recording from which on all are displaced."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pyarrow as pa
 from scipy import stats
 
 import meshskin as ms
@@ -64,7 +64,7 @@ def lanes(scene, seed):
     lane = np.floor(across / 2.5e-3).astype(int)
     order = np.lexsort((along * np.where(lane % 2, 1, -1), lane))
     made = ms.press(scene, points[order], force=rng.uniform(2.5, 3.5, 600), seed=seed)
-    return made.contacts, made.readings, axes[0]
+    return replace(made, metadata={}), axes[0]
 
 
 def test_a_jump_that_outlying_readings_hide_is_named_and_counted():
@@ -77,13 +77,11 @@ def test_a_jump_that_outlying_readings_hide_is_named_and_counted():
         body=body, skin=skin, contact="elliptic", material=ms.Material(young=0.4e6),
         indenter=ms.Indenter.sphere(0.008),
     )  # fmt: skip
-    contacts, readings, along = lanes(scene, 1)
-    for axis, size in zip(("px", "py", "pz"), 1e-3 * along, strict=True):
-        values = contacts[axis].to_numpy() + size * (np.arange(600) >= 300)
-        contacts = contacts.set_column(contacts.column_names.index(axis), axis, pa.array(values))
+    log, along = lanes(scene, 1)
+    log = log.with_columns(points=log.points + np.outer(np.arange(600) >= 300, 1e-3 * along))
     for contact in ("auto", "elliptic"):
         belief = scene.belief(contact=contact, noise_sigma=None)
-        found = ms.calibrate(ms.Recording(contacts, readings, {}), belief)
+        found = ms.calibrate(log, belief)
         assert found.verdict is not None
         assert found.verdict.level == "DOUBT"
         words = "".join(found.verdict.reasons).split("a jump of the contacts at ")[1]
