@@ -1,6 +1,9 @@
 """Scenes, recordings and simulators that tests of several folders share."""
 
+import importlib.util
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +13,23 @@ from meshskin.geometry.body import Body
 from meshskin.robot.arm import Arm
 from meshskin.scene import shipped_scenes
 from meshskin.simulation.simulate import prepare
+
+STUDIES = Path(__file__).parents[1] / "studies"
+sys.path += [str(STUDIES), str(STUDIES / "speed")]  # where a script finds the modules beside it
+
+
+@pytest.fixture(scope="session")
+def script():
+    """A study's script, by its file's stem, as a module."""
+
+    def load(name):
+        spec = importlib.util.spec_from_file_location(f"{name}_study", STUDIES / f"{name}.py")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module  # dataclasses look their module up
+        spec.loader.exec_module(module)
+        return module
+
+    return load
 
 
 @pytest.fixture(scope="session")

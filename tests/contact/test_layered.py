@@ -1,8 +1,5 @@
 """The layered model: axisymmetric finite elements, limits, derivatives."""
 
-import importlib.util
-from pathlib import Path
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -189,12 +186,8 @@ def test_batches_outside_the_table_raise():
 
 
 @pytest.mark.parametrize(("chi", "poisson"), [(10.0, 0.5), (0.37, 0.21), (2.6, 0.478)])
-def test_table_is_the_output_of_its_study(chi, poisson):
-    file = Path(__file__).parents[2] / "studies" / "layer_table.py"
-    spec = importlib.util.spec_from_file_location("layer_table", file)
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+def test_table_is_the_output_of_its_study(script, chi, poisson):
     found = np.array(layered.BondedLayer(poisson, 1.0).factors(np.array(chi)))
-    made = script.factors(chi, poisson)
+    made = script("layer_table").factors(chi, poisson)
     assert found[:3] == pytest.approx(made[:3], rel=2e-3)
     assert found[3] == pytest.approx(made[3], rel=1e-2)

@@ -149,10 +149,8 @@ def test_many_pressures_that_are_not_finite(world):
     recording = world.record()
     pressure = recording.pressure.copy()
     pressure[::20] = np.nan
-    index = recording.readings.column_names.index("pressure")
-    readings = recording.readings.set_column(index, "pressure", pa.array(pressure))
     with pytest.raises(RecordingError, match=r"pressure is not finite.*row 0 of readings"):
-        calibrate(replace(recording, readings=readings), world.belief())
+        calibrate(recording.with_columns(pressure=pressure), world.belief())
 
 
 def test_other_bad_input_is_named(world):

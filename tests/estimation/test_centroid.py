@@ -39,8 +39,7 @@ def test_the_covariance_is_that_of_means_of_random_points():
 def test_the_unit_of_the_readings_does_not_matter(world):
     recording, belief = world.record(0.01, 0.05), world.belief(0.01, 0.05)
     found = calibrate(recording, belief, method="centroid")
-    column = pa.array(0.2 * recording.pressure)
-    other = replace(recording, readings=recording.readings.set_column(2, "pressure", column))
+    other = recording.with_columns(pressure=0.2 * recording.pressure)
     again = calibrate(other, world.belief(0.01, 0.2 * 0.05), method="centroid")
     np.testing.assert_allclose(again.positions, found.positions, atol=1e-12)
     assert position_errors(found, world.skin).mean() < 0.1e-3

@@ -122,7 +122,7 @@ def test_indenter_offset(worlds):
     headings = se3.exp_so3(turn[:, None] * [0, 0, 1.0])
     centre = world.points + (0.01 - world.patches.depth)[:, None] * world.normals
     believed = world.body.closest(centre - np.einsum("mji,j->mi", headings, d)).point
-    recording = moved(world.record(0.01, 0.05), believed)
+    recording = world.record(0.01, 0.05).with_columns(points=believed)
     assert not calibrate(recording, world.belief(0.01, 0.05)).fit.good
     unknown = ("modulus", "indenter_offset")
     belief = world.belief(0.01, 0.05, unknown=unknown, headings=headings)
@@ -132,15 +132,6 @@ def test_indenter_offset(worlds):
     for axis, truth in zip("xyz", d, strict=True):
         value, sigma = found.unknowns[f"indenter_offset {axis}"]
         assert abs(value - truth) < 4 * sigma
-
-
-def moved(recording, points):
-    """The recording with other contact points (m, 3)."""
-    table = recording.contacts
-    for name, values in zip(("px", "py", "pz"), points.T, strict=True):
-        k = table.column_names.index(name)
-        table = table.set_column(k, table.schema.field(k), [values])
-    return type(recording)(table, recording.readings, recording.metadata)
 
 
 @pytest.mark.parametrize("name", MODELS)

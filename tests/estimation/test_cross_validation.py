@@ -3,11 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
-from meshskin.contact.indenter import Indenter
-from meshskin.contact.material import Material
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation import cross_validation
 from meshskin.estimation.calibrate import calibrate
@@ -15,78 +12,39 @@ from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.cross_validation import blocks
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.localization import CalibratedSkin
-from meshskin.geometry.body import Body
-from meshskin.recording.recording import CONTACT_SCHEMA, READING_SCHEMA, Recording
-from meshskin.scene.belief import Belief
 
-RADIUS, INDENTER, DISC, FORCE, TAXELS, NOISE = 0.1, 0.01, 2e-3, 3.0, 37, 0.01
-MODULUS = 0.2e6 / (1 - 0.49**2)
-A = (3 * FORCE / (1 / RADIUS + 1 / INDENTER) / (4 * MODULUS)) ** (1 / 3)
-PEAK = 3 * FORCE / (2 * np.pi * A**2)
-SHARE = TAXELS * 5e-3**2 * np.sqrt(3) / 2 / (2 * np.pi * RADIUS**2)
+from .learned.test_estimate import (
+    DISC,
+    FORCE,
+    PEAK,
+    RADIUS,
+    TAXELS,
+    TRUTH,
+    A,
+    bell,
+    hertz,
+    recording,
+    world,
+)
+from .learned.test_estimate import belief as known
 
-
-def spiral(count, share, angle):
-    z = 1 - share * (np.arange(count) + 0.5) / count
-    ring = np.sqrt(1 - z**2)
-    return RADIUS * np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
-
-
-TRUTH = spiral(TAXELS, SHARE, np.pi * (1 + 5**0.5) * (np.arange(TAXELS) + 0.5))
-
-
-def hertz(r, force):
-    scale = (force / FORCE) ** (1 / 3)
-    return PEAK * scale * np.sqrt(np.maximum(1 - (r / (A * scale)) ** 2, 0.0))
+NOISE = 0.01
+"""Of a reading, relative to the peak."""
 
 
-def bell(r, force):
-    width = 2.2e-3 * (force / FORCE) ** 0.3
-    return force / (2 * np.pi * width**2) * np.exp(-(r**2) / (2 * width**2))
+def record(profile=hertz, unit=1.0, lag=0.0):
+    """Contacts along a spiral of ten turns; readings in Pa / `unit`, of which the part `lag` stays
+    behind the pressure by 0.2 peaks."""
 
+    def lagging(pressure, rng):
+        read, state, width = pressure.copy(), np.zeros(TAXELS), 0.2 * PEAK
+        for k, now in enumerate(pressure):
+            state = np.clip(state, now - width, now + width)
+            read[k] += lag * (state - now)
+        return read
 
-def record(profile=hertz, contacts=400, unit=1.0, lag=0.0):
-    """Contacts along a spiral of ten turns; readings are means over discs, in Pa / `unit`, of which
-    the part `lag` follows the pressure at a distance of 0.2 peaks."""
-    rng = np.random.default_rng(0)
-    turn = 20 * np.pi * np.sqrt((np.arange(contacts) + 0.5) / contacts)
-    points = spiral(contacts, 1.4 * SHARE, turn)
-    normals = points / RADIUS
-    force = FORCE * (1 + 0.05 * rng.standard_normal(contacts))
-    first = np.cross(normals, [1.0, 0.0, 0.0])
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    offset = TRUTH - points[:, None]
-    x = np.einsum("mni,mi->mn", offset, first)
-    y = np.einsum("mni,mi->mn", offset, np.cross(normals, first))
-    noise, pressure = NOISE * PEAK * rng.standard_normal(x.shape), np.zeros(x.shape)
-    node, weight = np.polynomial.legendre.leggauss(8)
-    for r, w in zip((node + 1) / 2, weight * (node + 1) / 2, strict=True):
-        for t in np.pi * (np.arange(12) + 0.5) / 6:
-            distance = np.hypot(x + DISC * r * np.cos(t), y + DISC * r * np.sin(t))
-            pressure += w / 12 * profile(distance, force[:, None])
-    state, width = np.zeros(TAXELS), 0.2 * PEAK
-    for k, now in enumerate(pressure.copy()):
-        state = np.clip(state, now - width, now + width)
-        pressure[k] += lag * (state - now)
-    pressure += noise
-    contact, taxel = np.nonzero(pressure > 0.03 * PEAK)
-    time = 0.01 * np.arange(contacts)
-    return Recording(
-        pa.table([time, *points.T, *normals.T, force], schema=CONTACT_SCHEMA),
-        pa.table(
-            [time[contact], taxel.astype(np.int32), pressure[contact, taxel] / unit],
-            schema=READING_SCHEMA,
-        ),
-        {"taxel_ids": list(range(TAXELS)), "disc_radius_m": DISC},
-    )
-
-
-def known(**changes):
-    return Belief(
-        body=Body.sphere(radius=RADIUS), indenter=Indenter(INDENTER),
-        material=Material(0.2e6, 0.49, None), taxel_ids=np.arange(TAXELS), disc_radius=DISC,
-        **changes,
-    )  # fmt: skip
+    points, force, contact, taxel, level = world(profile, contacts=400, noise=NOISE, read=lagging)
+    return recording(points, force, contact, taxel, level / unit)
 
 
 @pytest.fixture(scope="module")
@@ -175,8 +133,8 @@ def test_held_out_contacts_do_not_calibrate(physical, monkeypatch):
 
     monkeypatch.setattr(cross_validation, "calibrate", calibrated)
     headings = np.tile(np.eye(3), (len(recording.time), 1, 1))
-    belief = known(contact="hertz", headings=headings)
-    again = cross_validation.cross_validate(calibration, recording, 5, belief)
+    given = known(contact="hertz", headings=headings)
+    again = cross_validation.cross_validate(calibration, recording, 5, given)
     assert np.array_equal(again.fold, found.fold)
     for k, (part, belief) in enumerate(parts):
         others = found.fold != k

@@ -16,15 +16,13 @@ from meshskin.exploration.pressing import grown_runs, lighter_helps
 from meshskin.pipeline import _force
 from meshskin.robot import collision
 
+from ..height_field import height_field
+
 
 def dented_plate():
     """A plate with a dent 6 mm deep, of curvature -60 1/m at its middle."""
-    x, y = (v.ravel() for v in np.meshgrid(*[np.linspace(-30e-3, 30e-3, 41)] * 2))
-    points = np.column_stack([x, y, -6e-3 * np.exp(-(x**2 + y**2) / (2 * 10e-3**2))])
-    k = np.arange(41 * 41).reshape(41, 41)
-    a, b, c, d = k[:-1, :-1].ravel(), k[:-1, 1:].ravel(), k[1:, 1:].ravel(), k[1:, :-1].ravel()
-    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    return ms.Body.from_mesh(trimesh.Trimesh(points, faces), open=True)
+    mesh = height_field(lambda x, y: -6e-3 * np.exp(-(x**2 + y**2) / (2 * 10e-3**2)), 30e-3)
+    return ms.Body.from_mesh(trimesh.Trimesh(*mesh), open=True)
 
 
 @pytest.fixture(scope="module")

@@ -19,20 +19,21 @@ from meshskin.simulation.state_machine import PHASES, SLIDE
 WALL = ms.Indenter(position=(-0.6, -0.15, 0.5), direction=(1.0, 0.0, 0.0))
 
 
+def two_islands(radius, tilt, **parts):
+    """Two islands of skin on a sphere, too far apart to slide from one to the other."""
+    body = ms.Body.sphere(radius)
+    skins = [
+        ms.Skin.cover(body, count=4, spacing=5e-3, region=Cap((x, 0.0, -1.0)))
+        for x in (tilt, -tilt)
+    ]
+    poses = np.concatenate([skin.poses for skin in skins])
+    skin, exploration = ms.Skin(poses, np.arange(len(poses))), ms.Exploration(pattern="lanes")
+    return ms.Scene(body=body, skin=skin, exploration=exploration, **parts)
+
+
 @pytest.fixture(scope="module")
 def islands():
-    """Two islands of skin on a sphere, too far apart to slide from one to the other."""
-    body = ms.Body.sphere(0.1)
-    parts = [
-        ms.Skin.cover(body, count=4, spacing=5e-3, region=Cap(way))
-        for way in ((0.5, 0.0, -1.0), (-0.5, 0.0, -1.0))
-    ]
-    poses = np.concatenate([part.poses for part in parts])
-    return ms.Scene(
-        body=body,
-        skin=ms.Skin(poses, np.arange(len(poses))),
-        exploration=ms.Exploration(pattern="lanes"),
-    )
+    return two_islands(0.1, 0.5)
 
 
 @pytest.mark.parametrize("indenter", [ms.Indenter(), pytest.param(WALL, marks=pytest.mark.slow)])

@@ -1,9 +1,7 @@
 """Hard cases of the estimators: a correct estimate with its uncertainty, or a named error."""
 
-import importlib.util
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -17,17 +15,12 @@ from meshskin.estimation.joint import joint_estimator, maximum_likelihood
 from meshskin.estimation.uncertainty.metrics import nees, position_errors
 from meshskin.geometry.body import Body
 from meshskin.scene.belief import Belief
-
-SPEC = importlib.util.spec_from_file_location(
-    "small_world", Path(__file__).parents[1] / "estimation" / "conftest.py"
-)
-small = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(small)
+from tests.estimation.conftest import World, changed
 
 
 @pytest.fixture(scope="module")
 def world():
-    return small.World(extent=17e-3)
+    return World(extent=17e-3)
 
 
 @pytest.fixture(scope="module")
@@ -49,13 +42,6 @@ def no_warnings():
         yield
 
 
-def contacts(recording, **columns):
-    table = recording.contacts
-    for name, values in columns.items():
-        table = table.set_column(table.column_names.index(name), name, pa.array(values))
-    return replace(recording, contacts=table)
-
-
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("share", [1.0, 1.3])
 def test_pressures_at_and_above_the_peak(world, noisy, share, method):
@@ -63,7 +49,7 @@ def test_pressures_at_and_above_the_peak(world, noisy, share, method):
     top = recording.pressure > 0.98 * recording.pressure.max()
     pressure = np.where(top, share * world.peak_reference, recording.pressure)
     assert 3 <= top.sum() < 60
-    found = calibrate(small.changed(recording, pressure=pressure), belief, method=method)
+    found = calibrate(recording.with_columns(pressure=pressure), belief, method=method)
     errors = position_errors(found, world.skin)
     assert np.isfinite(errors).sum() >= 30
     if method == "joint":
@@ -75,13 +61,13 @@ def test_forces_near_zero(world, noisy):
     recording, belief = noisy
     force = recording.force.copy()
     force[::3] = 1e-6  # the gauge slept, the skin did not
-    found = calibrate(contacts(recording, force=force), belief)
+    found = calibrate(recording.with_columns(force=force), belief)
     assert position_errors(found, world.skin).mean() < 20e-6
     assert "outlying" in found.fit.words
     with pytest.raises(CalibrationError, match="check the units of pressure, force and modulus"):
-        calibrate(contacts(recording, force=np.full_like(force, 1e-6)), belief)
+        calibrate(recording.with_columns(force=np.full_like(force, 1e-6)), belief)
     with pytest.raises(CalibrationError, match=r"no contact is pressed, got .* at most 0 N"):
-        calibrate(contacts(recording, force=np.zeros_like(force)), belief)
+        calibrate(recording.with_columns(force=np.zeros_like(force)), belief)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -99,7 +85,7 @@ def test_a_taxel_touched_once(world, noisy, clean):
     recording, belief = noisy
     keep = recording.reading_taxel != world.ids[18]
     keep[np.flatnonzero(~keep)[0]] = True
-    found = calibrate(small.changed(recording, keep=keep), belief)
+    found = calibrate(changed(recording, keep=keep), belief)
     assert found.reasons[18] == "fewer than three readings"
     assert found.touched[18]
     assert not found.observed[18].any()
@@ -141,7 +127,7 @@ def test_two_taxels_with_equal_readings_have_no_place(world, noisy, clean):
 @pytest.mark.parametrize("threshold", [0.0, 0.05])
 def test_all_readings_zero(world, threshold, method):
     recording = world.record(0.01, threshold)
-    silent = small.changed(recording, pressure=np.zeros(len(recording.pressure)))
+    silent = recording.with_columns(pressure=np.zeros(len(recording.pressure)))
     with pytest.raises(CalibrationError, match=r"no readings.*at most 0 Pa.*wiring"):
         calibrate(silent, world.belief(0.01, threshold), method=method)
 
@@ -149,7 +135,7 @@ def test_all_readings_zero(world, threshold, method):
 def test_all_readings_saturated(world, noisy):
     recording, _ = noisy
     level = 0.06 * world.peak_reference
-    full = small.changed(recording, pressure=np.minimum(recording.pressure, level))
+    full = recording.with_columns(pressure=np.minimum(recording.pressure, level))
     found = calibrate(full, world.belief(0.01, 0.05, saturation=level))
     errors = position_errors(found, world.skin)
     assert errors.mean() < 0.12e-3  # where a taxel begins and ends to answer is what is left
@@ -160,7 +146,7 @@ def test_all_readings_saturated(world, noisy):
 @pytest.mark.slow
 def test_the_end_of_the_range_of_all_taxels_is_found(world, noisy):
     level = 0.06 * world.peak_reference
-    full = small.changed(noisy[0], pressure=np.minimum(noisy[0].pressure, level))
+    full = noisy[0].with_columns(pressure=np.minimum(noisy[0].pressure, level))
     found = calibrate(full, world.belief(0.01, 0.05, saturation=level))
     blind = calibrate(full, world.belief(0.01, 0.05))
     np.testing.assert_allclose(blind.positions, found.positions, atol=1e-7)
@@ -173,7 +159,7 @@ def test_the_end_of_the_range_of_all_taxels_is_found(world, noisy):
 @pytest.mark.parametrize("noise", [0.01, None])
 def test_pressures_in_other_units(world, factor, words, noise):
     recording = world.record(0.01, 0.0)
-    wrong = small.changed(recording, pressure=factor * recording.pressure)
+    wrong = recording.with_columns(pressure=factor * recording.pressure)
     with pytest.raises(CalibrationError, match=words):
         calibrate(wrong, world.belief(noise, 0.0))
 
@@ -182,16 +168,16 @@ def test_pressures_in_other_units(world, factor, words, noise):
 def test_forces_in_other_units(noisy, factor, unit):
     recording, belief = noisy
     with pytest.raises(CalibrationError, match=f"cannot be in N.*look like {unit} taken for N"):
-        calibrate(contacts(recording, force=factor * recording.force), belief)
+        calibrate(recording.with_columns(force=factor * recording.force), belief)
 
 
 def test_forces_too_large_for_the_contact_model_and_lengths_in_mm(noisy):
     recording, belief = noisy
     with pytest.raises(ContactError, match="too wide"):
-        calibrate(contacts(recording, force=50 * recording.force), belief)
-    mm = dict(zip(("px", "py", "pz"), 1e3 * recording.points.T, strict=True))
+        calibrate(recording.with_columns(force=50 * recording.force), belief)
+    mm = recording.with_columns(points=1e3 * recording.points)
     with pytest.raises(CalibrationError, match=r"not on the believed body.*times 0.001"):
-        calibrate(contacts(recording, **mm), belief)
+        calibrate(mm, belief)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -199,11 +185,11 @@ def test_nan_in_a_recording(noisy, method):
     recording, belief = noisy
     pressure = recording.pressure.copy()
     pressure[[3, 7]] = np.nan, np.inf  # single numbers are left out
-    found = calibrate(small.changed(recording, pressure=pressure), belief, method=method)
+    found = calibrate(recording.with_columns(pressure=pressure), belief, method=method)
     assert np.isfinite(found.positions).all(axis=1).sum() > 0.9 * len(found.ids)
     pressure[3::40] = np.nan
     with pytest.raises(RecordingError, match=r"row 3 of readings, .* in all; drop those rows"):
-        calibrate(small.changed(recording, pressure=pressure), belief, method=method)
+        calibrate(recording.with_columns(pressure=pressure), belief, method=method)
 
 
 def test_a_belief_without_a_reference_force_takes_the_recordings(world, noisy, clean):

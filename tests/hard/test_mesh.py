@@ -13,6 +13,8 @@ from meshskin.geometry import primitives
 from meshskin.geometry.body import Body
 from meshskin.geometry.mesh.winding_number import winding_number
 
+from ..height_field import height_field
+
 
 @pytest.fixture
 def ball():
@@ -238,12 +240,7 @@ def test_a_v_groove(load):
 
 def test_a_saddle(load):
     """z = 2 (x^2 - y^2), open: distance, normal and principal curvatures +-4 at its middle."""
-    n = 41
-    x, y = (g.ravel() for g in np.meshgrid(*[np.linspace(-0.05, 0.05, n)] * 2, indexing="ij"))
-    i, j = (g.ravel() for g in np.meshgrid(range(n - 1), range(n - 1), indexing="ij"))
-    a, b, c, d = i * n + j, (i + 1) * n + j, (i + 1) * n + j + 1, i * n + j + 1
-    faces = np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    body = load(np.column_stack([x, y, 2.0 * (x**2 - y**2)]), faces, open=True)
+    body = load(*height_field(lambda x, y: 2.0 * (x**2 - y**2), 0.05), open=True)
     hit = body.closest([[0.0, 0.0, 0.01], [0.0, 0.0, -0.01]])
     finite(hit)
     np.testing.assert_allclose(hit.distance, [0.01, -0.01], atol=1e-7)

@@ -10,6 +10,8 @@ import meshskin as ms
 from meshskin.core.se3 import transform
 from meshskin.robot import collision, link_shapes
 
+from ..height_field import height_field
+
 BENT = """<robot name="bent"><link name="base"/>
   <joint name="turn" type="revolute"><parent link="base"/><child link="forearm"/>
     <axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
@@ -36,12 +38,8 @@ def reasons(body, along, angles, axis="0 1 0"):
 
 def rippled_plate(height):
     """A plate 12 mm wide whose surface rises and falls by `height`, m, every 2.7 mm along x."""
-    x, y = (v.ravel() for v in np.meshgrid(*[np.linspace(-6e-3, 6e-3, 41)] * 2))
-    z = -height * np.cos(2.0 * np.pi * x / 2.7e-3)
-    k = np.arange(41 * 41).reshape(41, 41)
-    a, b, c, d = k[:-1, :-1].ravel(), k[:-1, 1:].ravel(), k[1:, 1:].ravel(), k[1:, :-1].ravel()
-    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    return ms.Body.from_mesh(trimesh.Trimesh(np.column_stack([x, y, z]), faces), open=True)
+    mesh = height_field(lambda x, y: -height * np.cos(2.0 * np.pi * x / 2.7e-3), 6e-3)
+    return ms.Body.from_mesh(trimesh.Trimesh(*mesh), open=True)
 
 
 def test_ripples_of_a_small_part_of_the_depth_within_the_patch_are_no_hollows():

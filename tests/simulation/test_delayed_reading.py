@@ -8,33 +8,15 @@ import pytest
 from scipy.optimize import brentq
 
 from meshskin.core.errors import ConfigError, SimulationError
-from meshskin.core.se3 import exp_so3, transform
 from meshskin.robot.arm import Arm
 from meshskin.scene.settings import INTEGRATORS, Law
-from meshskin.simulation.closed_loop_model import ClosedLoopModel, flat_anchor
 from meshskin.simulation.integrators import step
 from meshskin.simulation.rollout import StepBlock
 from meshskin.simulation.simulate import prepare
 
+from .test_step import column, pressed
+
 LAW = Law(gamma=20.0)
-PLACE = np.array([0.424, -0.424, 0.7])
-MOUNT = transform(exp_so3([np.pi, 0, 0]), [0, 0, 0.12])
-
-
-def pressed(arm, body, law, depth):
-    """A loop at rest, the sphere pressed straight down on the indenter to `depth`."""
-    loop = ClosedLoopModel(arm, MOUNT, PLACE, 0.01, 0.263e6, law, 1e-3)
-    pose = transform(np.eye(3), PLACE + np.array([0, 0, 0.11 - depth]))
-    blocks = StepBlock(loop, 20)
-    hit = body.closest(np.array([[0, 0, -0.11]]))
-    blocks.anchors[:] = flat_anchor(body.surface.patches[hit.face[0]])
-    blocks.state[:] = [*arm.solve(pose @ np.linalg.inv(MOUNT)), *np.zeros(6), *hit.uv[0]]
-    blocks.references[:, :12] = [*pose[:3, 3], *pose[:3, :3].T.ravel()]
-    return loop, blocks
-
-
-def column(loop, blocks, name):
-    return blocks.outputs[:, loop.outputs[name]]
 
 
 def blocks_of(loop, like):
@@ -47,7 +29,7 @@ def blocks_of(loop, like):
 
 @pytest.mark.parametrize("integrator", INTEGRATORS[:3])
 def test_the_memory_is_a_shift_register_of_the_contact(arm, body, integrator):
-    loop, like = pressed(arm, body, LAW, 1.5e-3)
+    loop, like = pressed(arm, body, LAW, 1.5e-3, length=20)
     old = replace(loop, delay=3, integrator=integrator)
     blocks = blocks_of(old, like)
     blocks.run()
@@ -59,7 +41,7 @@ def test_the_memory_is_a_shift_register_of_the_contact(arm, body, integrator):
 
 def test_the_law_uses_the_delayed_measurement(arm, body):
     """The step's torque is that of the moment of the measurement."""
-    loop, like = pressed(arm, body, LAW, 1.5e-3)
+    loop, like = pressed(arm, body, LAW, 1.5e-3, length=20)
     now, late = step(loop), step(replace(loop, delay=1))
     still = (like.references[0], like.anchors[0], like.parameters[0])
     output = now(like.state, *still)[1].full().ravel()
@@ -78,7 +60,7 @@ def test_the_law_uses_the_delayed_measurement(arm, body):
 def test_friction_takes_from_the_acceleration_what_it_should(arm, body):
     """M qdd changes by -damping qdot - friction sign(qdot), far from rest."""
     rough = replace(arm, damping=np.full(6, 0.5), friction=np.arange(1.0, 7.0))
-    loop, like = pressed(arm, body, LAW, 1.5e-3)
+    loop, like = pressed(arm, body, LAW, 1.5e-3, length=20)
     speed = 0.2 * np.array([1, -1, 1, 1, -1, 1])
     like.state[6:12] = speed
     still = (like.state, like.references[0], like.anchors[0], like.parameters[0])
@@ -103,7 +85,7 @@ def test_friction_comes_from_the_urdf(arm):
 
 def test_a_law_that_assumes_another_modulus_asks_for_another_speed(arm, body):
     """Without an arm, at the same depth: speed = gamma (f_ref - F) / slope, slope ~ E*."""
-    loop, like = pressed(arm, body, LAW, 1.0e-3)
+    loop, like = pressed(arm, body, LAW, 1.0e-3, length=20)
     free = replace(loop, mode="quasi_static")
     assuming = replace(LAW, effective_modulus=2.0 * loop.effective_modulus)
     state = np.concatenate([like.references[0, :3], [1.0, 0, 0, 0], like.state[-2:]])

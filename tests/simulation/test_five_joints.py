@@ -6,30 +6,23 @@ from itertools import groupby
 import numpy as np
 import pytest
 
-import meshskin as ms
 from meshskin.core.se3 import exp_so3, inverse, transform
-from meshskin.geometry.region import Cap
 from meshskin.robot.arm import Arm
 from meshskin.scene import shipped_scenes
 from meshskin.simulation.simulate import prepare, run
 from meshskin.simulation.state_machine import PHASES, SLIDE
 
+from ..exploration.test_regrasp import two_islands
+
 
 @pytest.fixture(scope="module")
 def scene():
     """Two islands of skin on a sphere at the fifth link of the Puma."""
-    body = ms.Body.sphere(0.06)
-    parts = [
-        ms.Skin.cover(body, count=4, spacing=5e-3, region=Cap(way))
-        for way in ((0.4, 0.0, -1.0), (-0.4, 0.0, -1.0))
-    ]
-    poses = np.concatenate([part.poses for part in parts])
-    scene = ms.Scene(
-        body=body,
-        skin=ms.Skin(poses, np.arange(len(poses))),
+    scene = two_islands(
+        0.06,
+        0.4,
         arm=Arm.from_urdf(shipped_scenes.folder() / "puma560.urdf", tip="link5"),
         mount=transform(exp_so3([0.5 * np.pi, 0.0, 0.0]), [0.0, 0.1, 0.0]),
-        exploration=ms.Exploration(pattern="lanes"),
     )
     return scene.with_(loop=replace(scene.loop, compile="never"))
 

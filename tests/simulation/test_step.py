@@ -18,12 +18,12 @@ PLACE = np.array([0.424, -0.424, 0.7])
 MOUNT = transform(exp_so3([np.pi, 0, 0]), [0, 0, 0.12])
 
 
-def pressed(arm, body, law, depth, dt=1e-3):
+def pressed(arm, body, law, depth, dt=1e-3, length=50):
     """A loop at rest and a block of steps, the sphere pressed straight down to `depth`."""
     loop = ClosedLoopModel(arm, MOUNT, PLACE, 0.01, E_STAR, law, dt)
     pose = transform(np.eye(3), PLACE + np.array([0, 0, 0.11 - depth]))
     q = arm.solve(pose @ np.linalg.inv(MOUNT))
-    block = StepBlock(loop, 50)
+    block = StepBlock(loop, length)
     hit = body.closest(np.array([[0, 0, -0.11]]))
     block.anchors[:] = flat_anchor(body.surface.patches[hit.face[0]])
     block.state[:] = [*q, *np.zeros(6), *hit.uv[0]]

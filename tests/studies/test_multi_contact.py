@@ -13,24 +13,19 @@ from meshskin.contact import boundary_elements, influence
 from meshskin.core.errors import ContactError
 
 from ..hard.test_mesh import extrude
+from ..height_field import height_field
 
 SOFT = {"modulus": 0.5e6, "poisson": 0.45}
 
 
-def height_field(height, n=61, half=0.03):
+def open_body(height, count=61, half=0.03):
     """An open body z = height(x, y) over a square."""
-    x = np.linspace(-half, half, n)
-    x, y = np.meshgrid(x, x, indexing="ij")
-    vertices = np.stack([x, y, height(x, y)], axis=-1).reshape(-1, 3)
-    k = np.arange(n * n).reshape(n, n)
-    a, b, c, d = (v.ravel() for v in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return Body("field", trimesh.Trimesh(vertices, faces, process=False))
+    return Body("field", trimesh.Trimesh(*height_field(height, half, count), process=False))
 
 
 @pytest.fixture(scope="module")
 def valley():
-    return height_field(lambda x, y: 100.0 * x**2)
+    return open_body(lambda x, y: 100.0 * x**2)
 
 
 def test_one_contact_on_a_convex_body():
@@ -51,7 +46,7 @@ def test_no_contact_out_of_reach():
 
 
 def test_two_walls_of_a_v_groove():
-    groove = height_field(lambda x, y: np.abs(x))
+    groove = open_body(lambda x, y: np.abs(x))
     height = (0.01 - 0.3e-3) * np.sqrt(2)
     found, force, patches = multi_contact.solve_contacts(groove, [0.0, 0.0, height], 0.01, **SOFT)
     assert len(found) == 2
@@ -142,14 +137,14 @@ def test_rings_edges_and_centres_inside_the_body_raise():
             multi_contact.find_contacts(torus, [0.05, 0.0, height], 0.01)
     with pytest.raises(ContactError, match="finite"):
         multi_contact.find_contacts(torus, [np.nan, 0.0, 0.0], 0.01)
-    roof = height_field(lambda x, y: -np.abs(x))
+    roof = open_body(lambda x, y: -np.abs(x))
     assert not multi_contact.find_contacts(roof, [0.0, 0.0, 0.0095], 0.01).smooth.any()
     with pytest.raises(ContactError, match="edge"):
         multi_contact.solve_contacts(roof, [0.0, 0.0, 0.0095], 0.01, **SOFT)
 
 
 def test_overlapping_patches_raise():
-    shallow = height_field(lambda x, y: 52.0 * x**2)
+    shallow = open_body(lambda x, y: 52.0 * x**2)
     found = multi_contact.find_contacts(shallow, [0.0, 0.0, 0.0101], 0.0102)
     assert len(found) == 2
     with pytest.raises(ContactError, match=r"overlap|wide"):
@@ -159,7 +154,7 @@ def test_overlapping_patches_raise():
 @pytest.mark.slow
 def test_shallow_minima_on_a_fine_mesh_are_separate():
     """The closest faces lie off the minima: the iterations must not end in the other minimum."""
-    shallow = height_field(lambda x, y: 52.0 * x**2, n=241)
+    shallow = open_body(lambda x, y: 52.0 * x**2, count=241)
     found = multi_contact.find_contacts(shallow, [1e-6, 0.0, 0.0101], 0.0102)
     x = np.linspace(-0.01, 0.01, 2_000_001)
     distance = np.hypot(x - 1e-6, 52 * x**2 - 0.0101)

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,8 @@ import study_runs
 
 import meshskin as ms
 from meshskin.core.errors import StudyError
+
+from .test_faults import slow_study, until
 
 HERE = Path(__file__).parent
 
@@ -60,19 +61,6 @@ def worker(dask, address, nanny="--no-nanny"):
     return dask("dask_worker", address, "--nthreads", "1", nanny, "--no-dashboard")
 
 
-def until(condition, seconds=30.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not come to that"
-        time.sleep(0.02)
-
-
-def slow_study(marks):
-    marks.mkdir(exist_ok=True)
-    grid = {"run.marks": [str(marks)], "run.sleep": [0.1]}
-    return ms.Study("s", grid=grid, seeds=16, run=study_runs.slow)
-
-
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_table(dask, tmp_path):
     _, address = scheduler(dask, tmp_path)
@@ -90,7 +78,7 @@ def test_a_cluster_gives_the_same_table(dask, tmp_path):
 def test_cases_of_a_killed_dask_worker_are_run_again(dask, tmp_path):
     _, address = scheduler(dask, tmp_path)
     workers = [worker(dask, address) for _ in range(2)]
-    study = slow_study(tmp_path / "marks")
+    study = slow_study(tmp_path / "marks", sleep=0.1, seeds=16)
 
     def killer(state):
         if state.done == 5:
@@ -99,16 +87,15 @@ def test_cases_of_a_killed_dask_worker_are_run_again(dask, tmp_path):
     table = study.sweep(tmp_path / "a", scheduler=address, progress=killer)
     assert table.column("status").to_pylist() == ["done"] * 16
     study.sweep(tmp_path / "b", workers=2)
-    assert (tmp_path / "a/table.parquet").read_bytes() == (
-        tmp_path / "b/table.parquet"
-    ).read_bytes()
+    one, other = (tmp_path / folder / "table.parquet" for folder in "ab")
+    assert one.read_bytes() == other.read_bytes()
 
 
 @pytest.mark.slow
 def test_a_killed_scheduler_is_one_error_line_and_a_second_run_resumes(dask, tmp_path):
     process, address = scheduler(dask, tmp_path)
     worker(dask, address)
-    study = slow_study(tmp_path / "marks")
+    study = slow_study(tmp_path / "marks", sleep=0.1, seeds=16)
 
     def killer(state):
         if state.done == 5:
@@ -120,9 +107,8 @@ def test_a_killed_scheduler_is_one_error_line_and_a_second_run_resumes(dask, tmp
     study.sweep(tmp_path / "a", workers=2, progress=states.append)
     assert states[0].kept >= 5
     study.sweep(tmp_path / "b", workers=2)
-    assert (tmp_path / "a/table.parquet").read_bytes() == (
-        tmp_path / "b/table.parquet"
-    ).read_bytes()
+    one, other = (tmp_path / folder / "table.parquet" for folder in "ab")
+    assert one.read_bytes() == other.read_bytes()
 
 
 def test_a_missing_scheduler_is_one_error_line(tmp_path, monkeypatch):

@@ -103,9 +103,8 @@ def test_cases_of_a_killed_worker_are_run_again(tmp_path):
     assert len(killed) == 2
     assert set(table.column("status").to_pylist()) == {"done"}
     study.sweep(tmp_path / "b", workers=1)
-    assert (tmp_path / "a/table.parquet").read_bytes() == (
-        tmp_path / "b/table.parquet"
-    ).read_bytes()
+    one, other = (tmp_path / folder / "table.parquet" for folder in "ab")
+    assert one.read_bytes() == other.read_bytes()
 
 
 @pytest.mark.slow
@@ -141,14 +140,9 @@ def test_hanging_workers_die_with_a_killed_parent(tmp_path):
     path = os.pathsep.join([str(HERE), *sys.path])
     mark = tmp_path / "mark"
     for trouble in ("hang", "hang in C"):
-        parent = subprocess.Popen(
-            [
-                sys.executable,
-                "-c",
-                f"TROUBLE, MARK = {trouble!r}, {str(mark)!r}\n" + code,
-            ],
-            env={**os.environ, "PYTHONPATH": path},
-        )
+        given = f"TROUBLE, MARK = {trouble!r}, {str(mark)!r}\n"
+        env = {**os.environ, "PYTHONPATH": path}
+        parent = subprocess.Popen([sys.executable, "-c", given + code], env=env)
         children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
         until(lambda: mark.exists())
         workers = children.read_text().split()
@@ -223,13 +217,8 @@ def test_failed_cases_are_run_again_on_demand_or_with_more_time(out):
         study.sweep(out, progress=states.append, **options)
         return len(states) - 1
 
-    assert [sweep(0.2), sweep(0.2), sweep(0.1), sweep(0.3), sweep(0.3, retry=True)] == [
-        3,
-        0,
-        0,
-        1,
-        1,
-    ]
+    runs = [sweep(0.2), sweep(0.2), sweep(0.1), sweep(0.3), sweep(0.3, retry=True)]
+    assert runs == [3, 0, 0, 1, 1]
 
 
 @POSIX

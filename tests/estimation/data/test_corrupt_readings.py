@@ -27,10 +27,7 @@ def sound(world, recording):
 def with_pressure(recording, row, value):
     pressure = recording.pressure.copy()
     pressure[row] = value
-    index = recording.readings.column_names.index("pressure")
-    return replace(
-        recording, readings=recording.readings.set_column(index, "pressure", pa.array(pressure))
-    )
+    return recording.with_columns(pressure=pressure)
 
 
 @pytest.mark.parametrize("noise", [0.01, None])

@@ -1,7 +1,8 @@
 """Contacts beside a wall: under such a patch the surface is a hollow tighter than the indenter."""
 
+from dataclasses import replace
+
 import numpy as np
-import pyarrow as pa
 import pytest
 import trimesh
 
@@ -61,10 +62,7 @@ def test_contacts_in_hollows_are_left_out_where_the_response_is_learned(scene, r
 @pytest.mark.slow
 def test_a_wrong_scale_is_learned_beside_a_wall(scene, recording):
     """It ended in a ContactError about the hollow."""
-    table = recording.readings
-    tripled = pa.array(3 * recording.pressure)
-    table = table.set_column(table.column_names.index("pressure"), "pressure", tripled)
-    log = ms.Recording(recording.contacts, table, {})
+    log = replace(recording.with_columns(pressure=3 * recording.pressure), metadata={})
     found = ms.calibrate(log, scene.belief(contact="auto"))
     assert found.verdict.level == "DOUBT"
     assert any("3 times those of the contact model" in words for words in found.verdict.reasons)

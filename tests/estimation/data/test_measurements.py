@@ -13,24 +13,17 @@ from meshskin.estimation.data.gather import gather
 from meshskin.recording.recording import Recording
 
 
-def scaled(recording, factor):
-    contacts = recording.contacts
-    for name in ("px", "py", "pz"):
-        column = contacts.schema.get_field_index(name)
-        values = pa.array(factor * contacts.column(name).to_numpy())
-        contacts = contacts.set_column(column, name, values)
-    return Recording(contacts, recording.readings, recording.metadata)
-
-
 @pytest.mark.parametrize("factor", [1e-3, 1e3, 1e-6])
 def test_a_wrong_unit_of_contact_points_is_named(world, factor):
+    recording = world.record()
     with pytest.raises(CalibrationError, match=re.escape(f"times {1 / factor:g} they are on it")):
-        gather(scaled(world.record(), factor), world.belief())
+        gather(recording.with_columns(points=factor * recording.points), world.belief())
 
 
 def test_contact_points_of_another_frame_keep_the_general_remedy(world):
+    recording = world.record()
     with pytest.raises(CalibrationError, match="in the body's frame"):
-        gather(scaled(world.record(), 3.0), world.belief())
+        gather(recording.with_columns(points=3.0 * recording.points), world.belief())
 
 
 def test_headings_must_be_one_for_each_contact(world):
@@ -44,10 +37,9 @@ def test_headings_must_be_one_for_each_contact(world):
 def test_pressures_that_no_plausible_modulus_explains_are_refused(world, factor):
     """E* may be wrong by a factor of 100, which changes the peak by 100^(2/3); units may not."""
     recording = world.record()
-    k = recording.readings.column_names.index("pressure")
-    readings = recording.readings.set_column(k, "pressure", pa.array(factor * recording.pressure))
+    wrong = recording.with_columns(pressure=factor * recording.pressure)
     with pytest.raises(CalibrationError, match="the pressures cannot be in Pa"):
-        gather(Recording(recording.contacts, readings, {}), world.belief())
+        gather(wrong, world.belief())
     peaks = np.full(3, 1e4 * factor ** (2 / 3))
     unit_checks.check_pressure(np.full(3, 1e4), np.zeros(3, dtype=int), peaks)
 

@@ -1,5 +1,7 @@
 """A declared body offset by the distances of the contact points from the surface."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -77,12 +79,7 @@ def test_a_log_that_is_off_calibrates_where_it_is(noisy):
     log = ms.press(noisy, noisy.skin.positions, seed=0)
     body = ms.Body.sphere(0.1)
     belief = noisy.belief(body=body, unknown=("modulus", "body_offset"))
-    wrong = ms.Recording(log.contacts, log.readings, {})
-    for name, value in zip(("px", "py", "pz"), SHIFT, strict=True):
-        index = wrong.contacts.column_names.index(name)
-        column = wrong.contacts.column(name).to_numpy() + value
-        table = wrong.contacts.set_column(index, name, [column])
-        wrong = ms.Recording(table, log.readings, {})
+    wrong = replace(log.with_columns(points=log.points + SHIFT), metadata={})
     found = ms.calibrate(wrong, belief)
     for axis, value in zip("xyz", SHIFT, strict=True):
         stated = found.unknowns[f"body_offset {axis}"]

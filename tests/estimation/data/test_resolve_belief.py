@@ -123,9 +123,8 @@ def test_a_taxel_read_twice_in_one_contact(world):
 
 def test_negative_forces(world):
     recording = world.record()
-    contacts = recording.contacts.set_column(7, "force", pa.array(-recording.force))
     with pytest.raises(CalibrationError, match=r"forces of at most -2\.9.* N.*check its sign"):
-        gather(Recording(contacts, recording.readings, {}), world.belief())
+        gather(recording.with_columns(force=-recording.force), world.belief())
 
 
 def test_one_weak_contact_is_not_a_wrong_unit(world):

@@ -4,14 +4,12 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
 import pytest
 import trimesh
 
 import meshskin as ms
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.data.unit_checks import angles, off_surface, on_facets
-from meshskin.recording.recording import Recording
 
 RADIUS = 8e-3
 """Of the indenter, m."""
@@ -60,10 +58,7 @@ def test_strays_are_left_out_and_said(noisy):
     recording = ms.press(noisy, noisy.skin.positions, seed=1)
     points = recording.points.copy()
     points[[3, 40]] += 1e-3 * recording.normals[[3, 40]]
-    table = recording.contacts
-    for name, values in zip(("px", "py", "pz"), points.T, strict=True):
-        table = table.set_column(table.column_names.index(name), name, pa.array(values))
-    strayed = Recording(table, recording.readings, recording.metadata)
+    strayed = recording.with_columns(points=points)
     data = gather(strayed, noisy.belief())
     assert data.strays == 2
     assert len(data.points) == len(recording.points) - 2
@@ -72,14 +67,6 @@ def test_strays_are_left_out_and_said(noisy):
     )
     belief = replace(noisy.belief(), noise_sigma=None)
     assert "without 2 contacts off the believed surface" in (ms.calibrate(strayed, belief).factors)
-
-
-def moved(recording, points, normals):
-    """The recording with other contact points and normals (m, 3)."""
-    table, names = recording.contacts, ("px", "py", "pz", "nx", "ny", "nz")
-    for name, values in zip(names, np.column_stack([points, normals]).T, strict=True):
-        table = table.set_column(table.column_names.index(name), name, pa.array(values))
-    return Recording(table, recording.readings, recording.metadata)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -99,5 +86,5 @@ def test_contacts_made_on_the_faces_of_a_noisy_mesh_are_on_its_surface(noisy, se
     assert on_facets(body, made, face, RADIUS).mean() > 0.98
     assert not on_facets(body, made + 0.2e-3 * face, face, RADIUS).any()
     assert not on_facets(body, made, -face, RADIUS).any()
-    data = gather(moved(recording, made, face), scene.belief())
+    data = gather(recording.with_columns(points=made, normals=face), scene.belief())
     assert data.strays == (off & ~on_facets(body, made, face, RADIUS)).sum() < 0.1 * off.sum()

@@ -4,7 +4,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
 import meshskin as ms
@@ -12,7 +11,6 @@ from meshskin.core import se3
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.joint.departures import FittedReadings, contact_score
 from meshskin.estimation.joint.pressure import OBSERVED
-from meshskin.recording.recording import Recording
 
 CONTACTS = 500
 OFFSET = np.array([0.3e-3, -0.2e-3, 0.0])
@@ -28,13 +26,6 @@ def headings(normals, seed):
     return se3.exp_so3(spin[:, None] * [0.0, 0.0, 1.0]) @ facing
 
 
-def with_points(recording, points):
-    contacts = recording.contacts
-    for name, values in zip(("px", "py", "pz"), points.T, strict=True):
-        contacts = contacts.set_column(contacts.column_names.index(name), name, pa.array(values))
-    return Recording(contacts, recording.readings, {})
-
-
 @pytest.fixture(scope="module")
 def displaced(noisy):
     """A log whose indenter is OFFSET off, and the belief with the headings."""
@@ -47,7 +38,9 @@ def displaced(noisy):
     shrunk = 1 + noisy.indenter.radius / np.linalg.norm(made.points, axis=1)
     recorded = made.points - np.einsum("mji,j->mi", turned, OFFSET) / shrunk[:, None]
     belief = replace(noisy.belief(), contact="auto", headings=turned)
-    return with_points(made, noisy.body.closest(recorded).point), belief
+    return replace(
+        made.with_columns(points=noisy.body.closest(recorded).point), metadata={}
+    ), belief
 
 
 def rms(found, scene):
@@ -91,8 +84,8 @@ def test_offsets_that_drift_are_named_where_the_contact_model_is_fixed(noisy):
     rate = 0.05 * made.pressure.max() * rng.standard_normal(len(skin))
     taxel = np.searchsorted(skin.ids, made.readings.column("taxel").to_numpy())
     phase = made.reading_contact / CONTACTS - 0.5
-    table = made.readings.set_column(2, "pressure", pa.array(made.pressure + rate[taxel] * phase))
-    drifting = Recording(made.contacts, table, {})
+    pressure = made.pressure + rate[taxel] * phase
+    drifting = replace(made.with_columns(pressure=pressure), metadata={})
     belief = replace(noisy.belief(), contact="hertz", noise_sigma=None)
     assert calibrate(made, belief).verdict.level == "PASS"
     found = calibrate(drifting, belief)

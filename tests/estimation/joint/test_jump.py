@@ -1,9 +1,9 @@
 """A jump of the contacts: a place in the recording from which on all are displaced."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pyarrow as pa
 from scipy import stats
 
 import meshskin as ms
@@ -76,7 +76,7 @@ def lanes(scene, seed):
     lane = np.floor(across / 2.5e-3).astype(int)
     order = np.lexsort((along * np.where(lane % 2, 1, -1), lane))
     made = ms.press(scene, points[order], force=rng.uniform(2.5, 3.5, 600), seed=seed)
-    return made.contacts, made.readings, axes[0]
+    return replace(made, metadata={}), axes[0]
 
 
 def on_a_capsule():
@@ -94,8 +94,7 @@ def test_contacts_that_drift_by_1_mm_on_the_surface():
     """Each taxel is touched within a short time and moves with its contacts, which lie on the
     surface: neither residuals nor distances show it, the response misfits by 1 %."""
     scene = on_a_capsule()
-    contacts, readings, along = lanes(scene, 1)
-    log = ms.Recording(contacts, readings, {})
+    log, along = lanes(scene, 1)
     moved = log.points + 1e-3 * np.arange(600)[:, None] / 600 * along
     log = log.with_columns(points=scene.body.closest(moved).point)
     found = ms.calibrate(log, scene.belief(noise_sigma=None))
@@ -113,13 +112,11 @@ def test_a_jump_that_outlying_readings_hide_is_named_and_counted():
     after it fit one half, and the readings of the other half are left out as outlying."""
     scene = on_a_capsule()
     skin = scene.skin
-    contacts, readings, along = lanes(scene, 1)
-    for axis, size in zip(("px", "py", "pz"), 1e-3 * along, strict=True):
-        values = contacts[axis].to_numpy() + size * (np.arange(600) >= 300)
-        contacts = contacts.set_column(contacts.column_names.index(axis), axis, pa.array(values))
+    log, along = lanes(scene, 1)
+    log = log.with_columns(points=log.points + np.outer(np.arange(600) >= 300, 1e-3 * along))
     for contact in ("auto", "elliptic"):
         belief = scene.belief(contact=contact, noise_sigma=None)
-        found = ms.calibrate(ms.Recording(contacts, readings, {}), belief)
+        found = ms.calibrate(log, belief)
         assert found.verdict is not None
         assert found.verdict.level == "DOUBT"
         words = "".join(found.verdict.reasons).split("a jump of the contacts at ")[1]

@@ -1,8 +1,6 @@
 """The reduced problem: derivatives, IPOPT, and the speed study's result."""
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -141,12 +139,8 @@ def test_taxels_are_optimized_independently(problem, world):
 
 
 @pytest.mark.slow
-def test_the_speed_study_finds_every_taxel(monkeypatch):
-    file = Path(__file__).parents[3] / "studies" / "speed" / "joint.py"
-    monkeypatch.syspath_prepend(file.parent)  # where a script finds the modules beside it
-    spec = importlib.util.spec_from_file_location("joint_speed", file)
-    study = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(study)
+def test_the_speed_study_finds_every_taxel(script):
+    study = script("speed/joint")
     row, (recording, belief, truth) = study.measure(80), study.world(80)
     skin = Skin(chart.poses(truth, chart.frames(belief.body.closest(truth).normal)), np.arange(80))
     assert row["lost"] == 0

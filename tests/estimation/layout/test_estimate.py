@@ -10,7 +10,6 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.layout.alignment import aligned, root_mean_square
 from meshskin.estimation.layout.estimate import touch_radius
-from meshskin.recording.recording import Recording
 
 
 @pytest.fixture(scope="module")
@@ -30,15 +29,9 @@ def test_taxels_are_within_half_a_pitch(noisy, found):
 def test_moved_contact_points_move_the_whole_alone(noisy, noisy_recording, found):
     """The shape does not see where the contacts are: all of them are turned about the sphere."""
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    table = noisy_recording.contacts
-    for names, vectors in (
-        (("px", "py", "pz"), noisy_recording.points),
-        (("nx", "ny", "nz"), noisy_recording.normals),
-    ):
-        for name, values in zip(names, (vectors @ turn.T).T, strict=True):
-            column = table.column_names.index(name)
-            table = table.set_column(column, name, [values])
-    other = Recording(table, noisy_recording.readings, noisy_recording.metadata)
+    other = noisy_recording.with_columns(
+        points=noisy_recording.points @ turn.T, normals=noisy_recording.normals @ turn.T
+    )
     moved = ms.calibrate(other, noisy.belief(), method="coactivation")
     np.testing.assert_allclose(moved.positions, found.positions @ turn.T, atol=2e-5)
 

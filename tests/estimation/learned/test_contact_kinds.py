@@ -1,7 +1,8 @@
 """Contacts of two kinds, in any order, one of them displaced."""
 
+from dataclasses import replace
+
 import numpy as np
-import pyarrow as pa
 import pytest
 
 import meshskin as ms
@@ -25,11 +26,7 @@ def scattered(seed):
 
 def displaced(log, by):
     """The log with its contacts displaced by (m, 3), m."""
-    contacts = log.contacts
-    for axis, size in zip(("px", "py", "pz"), by.T, strict=True):
-        values = pa.array(contacts[axis].to_numpy() + size)
-        contacts = contacts.set_column(contacts.column_names.index(axis), axis, values)
-    return ms.Recording(contacts, log.readings, {})
+    return replace(log.with_columns(points=log.points + by), metadata={})
 
 
 @pytest.mark.parametrize(("share", "size"), [(0.5, 1e-3), (0.25, 1e-3), (0.5, 2e-3)])

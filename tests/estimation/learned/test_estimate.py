@@ -342,9 +342,8 @@ def test_forces_recorded_as_constant_are_mended():
     near = skin.positions[rng.integers(40, size=300)]
     points = body.closest(near + rng.uniform(-6e-3, 6e-3, (300, 3))).point
     made = press(scene, points, force=rng.uniform(2.0, 4.0, 300), seed=4)
-    column = made.contacts.column_names.index("force")
-    contacts = made.contacts.set_column(column, "force", pa.array(np.full(300, 3.0)))
-    found = calibrate(Recording(contacts, made.readings, {}), scene.belief(contact="auto"))
+    log = replace(made.with_columns(force=np.full(300, 3.0)), metadata={})
+    found = calibrate(log, scene.belief(contact="auto"))
     error = np.linalg.norm(found.positions - skin.positions, axis=1)
     assert found.unknowns["force_scatter"][0] == pytest.approx(0.2, rel=0.15)
     assert np.sqrt(np.mean(error**2)) < 0.05e-3

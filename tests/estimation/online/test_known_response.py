@@ -9,7 +9,7 @@ import meshskin as ms
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.online.frames import RecordedFrames
 from meshskin.estimation.online.known_response import KnownResponse
-from meshskin.recording.recording import NOMINAL, Recording
+from meshskin.recording.recording import NOMINAL
 
 COUNTS = 1e-2
 """Counts per Pa."""
@@ -31,13 +31,9 @@ def raw(noisy):
     points = skin.positions.mean(axis=0) + rng.normal(scale=4e-3, size=(COUNT, 3))
     forces = 3.0 * np.exp(FORCE * rng.normal(size=len(points)))
     pressed = ms.press(scene, points, forces, seed=1)
-    contacts = pressed.contacts.set_column(
-        pressed.contacts.column_names.index("force"), "force", [np.ones(len(forces))]
-    )
-    at = pressed.readings.column_names.index("pressure")
-    counts = pressed.readings.set_column(at, "pressure", [COUNTS * pressed.pressure])
+    counts = pressed.with_columns(force=np.ones(COUNT), pressure=COUNTS * pressed.pressure)
     metadata = {"taxel_ids": skin.ids.tolist(), "readings": "raw", "force": NOMINAL}
-    recording = Recording(contacts, counts, metadata)
+    recording = replace(counts, metadata=metadata)
     belief = replace(
         scene.belief(), readings="raw", noise_sigma=None, threshold=0.0, force_reference=None
     )
@@ -161,12 +157,11 @@ def test_contacts_that_the_batch_left_out_are_left_out(raw):
     """Three contacts whose readings are nonsense, which the batch did not use."""
     found, recording, _, _ = raw
     bad = [5, 20, 41]
-    errors, readings = found.contact_errors.copy(), recording.readings
+    errors = found.contact_errors.copy()
     errors[bad] = np.nan
-    at = np.isin(readings["time"].to_numpy(), recording.time[bad])
+    at = np.isin(recording.readings["time"].to_numpy(), recording.time[bad])
     counts = np.where(at, 3.0 * recording.pressure.max(), recording.pressure)
-    column = readings.column_names.index("pressure")
-    spoilt = replace(recording, readings=readings.set_column(column, "pressure", [counts]))
+    spoilt = recording.with_columns(pressure=counts)
     known = KnownResponse.of(replace(found, contact_errors=errors), spoilt)
     kept = np.setdiff1d(np.arange(COUNT), bad)
     assert at.any()

@@ -103,8 +103,8 @@ def test_a_single_taxel_that_changed(setting, factor, state):
     around = own[:3, 3] + 3e-3 * np.stack([own[:3, 0], -own[:3, 0], own[:3, 1]])
     recording = ms.press(scene, np.concatenate([points, around]))
     pressure = np.where(recording.reading_taxel == best, factor, 1.0) * recording.pressure
-    readings = recording.readings.set_column(2, "pressure", pa.array(pressure))
-    changed = replace(recording, readings=readings.filter(pa.array(pressure > 0)))
+    changed = recording.with_columns(pressure=pressure)
+    changed = replace(changed, readings=changed.readings.filter(pa.array(pressure > 0)))
     found = ms.recalibrate(scene.skin, changed, scene.belief())
     assert [(f.number, f.state) for f in found.findings] == [(best, state)]
     row = np.flatnonzero(found.ids == best)[0]
@@ -465,8 +465,7 @@ def test_a_lost_reading_does_not_lose_the_others_of_a_falling_skin(setting):
     recording = ms.press(scene, points[:2])
     pressure = recording.pressure.copy()
     pressure[1] = np.nan
-    given = recording.readings.set_column(2, "pressure", pa.array(pressure))
-    turned = readings._turned(replace(recording, readings=given)).pressure
+    turned = readings._turned(recording.with_columns(pressure=pressure)).pressure
     assert np.flatnonzero(np.isnan(turned)).tolist() == [1]
 
 

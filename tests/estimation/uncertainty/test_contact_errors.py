@@ -33,10 +33,7 @@ def press(scene, seed=0):
 
 def moved(recording, displacement):
     """The recording with its contact points moved by displacements (m, 3), m."""
-    contacts = recording.contacts
-    for name, values in zip(("px", "py", "pz"), (recording.points + displacement).T, strict=True):
-        contacts = contacts.set_column(contacts.column_names.index(name), name, pa.array(values))
-    return Recording(contacts, recording.readings, {})
+    return recording.with_columns(points=recording.points + displacement)
 
 
 def late(recording, frames):

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
 import pytest
 import trimesh
 
@@ -40,12 +39,9 @@ def log(scene, signs, moved=0.0):
     near = scene.skin.positions[rng.integers(len(scene.skin), size=CONTACTS)]
     points = scene.body.closest(near + rng.uniform(-6e-3, 6e-3, (CONTACTS, 3))).point
     made = ms.press(scene, points, force=rng.uniform(2.5, 3.5, CONTACTS), seed=1)
-    contacts = made.contacts
-    columns = dict(zip(("px", "py", "pz"), (made.points * signs + moved).T, strict=True))
-    columns |= dict.fromkeys(("nx", "ny", "nz"), np.full(CONTACTS, np.nan))
-    for name, values in columns.items():
-        contacts = contacts.set_column(contacts.column_names.index(name), name, pa.array(values))
-    return ms.Recording(contacts, made.readings, {})
+    normals = np.full((CONTACTS, 3), np.nan)
+    made = made.with_columns(points=made.points * signs + moved, normals=normals)
+    return replace(made, metadata={})
 
 
 @pytest.mark.parametrize(

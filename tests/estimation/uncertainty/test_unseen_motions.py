@@ -1,5 +1,7 @@
 """Motions of all contact points along which the believed surface does not change are named."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,10 +19,8 @@ def calibrated(body, direction, moved=0.0, count=20):
     rng = np.random.default_rng(0)
     near = skin.positions[rng.integers(count, size=200)] + rng.uniform(-4e-3, 4e-3, (200, 3))
     log = ms.press(scene, body.closest(near).point)
-    contacts = log.contacts.set_column(
-        log.contacts.column_names.index("pz"), "pz", [log.points[:, 2] + moved]
-    )
-    found = ms.calibrate(ms.Recording(contacts, log.readings, {}), scene.belief())
+    log = replace(log.with_columns(points=log.points + np.array([0.0, 0.0, moved])), metadata={})
+    found = ms.calibrate(log, scene.belief())
     return found, found.positions - skin.positions
 
 

@@ -43,17 +43,13 @@ def log(scene, seed=0):
 
 def changed(recording, points=None, force=None, **readings):
     """The recording with other contact points, forces or columns of the readings."""
-    contacts, table = recording.contacts, recording.readings
-    columns = {} if points is None else dict(zip(("px", "py", "pz"), points.T, strict=True))
-    if force is not None:
-        columns["force"] = force
-    for name, values in columns.items():
-        index = contacts.column_names.index(name)
-        contacts = contacts.set_column(index, name, pa.array(values))
+    columns = {"points": points, "force": force}
+    recording = recording.with_columns(**{k: v for k, v in columns.items() if v is not None})
+    table = recording.readings
     for name, values in readings.items():
         index = table.column_names.index(name)
         table = table.set_column(index, name, pa.array(values))
-    return Recording(contacts, table, recording.metadata)
+    return replace(recording, readings=table)
 
 
 def late(recording, frames):
@@ -267,7 +263,7 @@ def test_sound_logs_pass(noisy, noise):
 def test_recorded_normals_that_scatter_or_lean_alike_accuse_nothing(noisy, recorded, lean):
     rng = np.random.default_rng(1)
     normals = recorded.normals + rng.normal(0, 0.1, (CONTACTS, 3)) + lean * np.array([0, 1, 0])
-    found = ms.calibrate(with_normals(recorded, normals), noisy.belief())
+    found = ms.calibrate(recorded.with_columns(normals=normals), noisy.belief())
     assert found.verdict.level == "PASS"
 
 
@@ -276,16 +272,8 @@ def test_single_normals_that_lean_back_accuse_no_axes(noisy, recorded):
     turn, that through the others the whole."""
     normals = recorded.normals.copy()
     normals[np.argsort(recorded.points[:, 1])[-CONTACTS // 25 :]] = [0.0, -1.0, 0.1]
-    found = ms.calibrate(with_normals(recorded, normals), noisy.belief())
+    found = ms.calibrate(recorded.with_columns(normals=normals), noisy.belief())
     assert found.verdict.level == "PASS", found.verdict.reasons
-
-
-def with_normals(recording, normals):
-    """A recording with other normals (m, 3)."""
-    contacts = recording.contacts
-    for name, values in zip(("nx", "ny", "nz"), normals.T, strict=True):
-        contacts = contacts.set_column(contacts.column_names.index(name), name, pa.array(values))
-    return Recording(contacts, recording.readings, {})
 
 
 def test_taxels_where_contacts_end_are_not_surrounded(world):
@@ -387,5 +375,6 @@ def test_contacts_at_the_edge_of_a_plate_accuse_no_frame(noisy):
     beside = np.repeat([[0.04, 0.0, 0.0099]], 20, axis=0)  # 0.1 mm below the edge
     places = np.concatenate([flat, beside])
     made = ms.press(scene, places, force=rng.uniform(2.5, 3.5, len(places)), seed=1)
-    made = with_normals(made, np.repeat([[0.0, 0.0, 1.0]], len(made.points), axis=0))
+    normals = np.repeat([[0.0, 0.0, 1.0]], len(made.points), axis=0)
+    made = replace(made.with_columns(normals=normals), metadata={})
     assert ms.calibrate(made, scene.belief()).verdict.level == "PASS"

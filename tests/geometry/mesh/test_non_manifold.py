@@ -8,6 +8,8 @@ from meshskin.geometry.body import Body
 from meshskin.geometry.mesh.check import check_mesh
 from meshskin.geometry.mesh.winding_number import winding_number
 
+from ...height_field import height_field
+
 
 def box(low, high):
     mesh = trimesh.creation.box(np.subtract(high, low))
@@ -21,17 +23,11 @@ def touching(*boxes):
 
 def plate(n=9, pinched=((4, 4), (4, 5))):
     """A plate of 0.1 x 0.1 x 0.01 m, its top pressed down to its bottom at some nodes."""
-    g = np.linspace(-0.05, 0.05, n)
-    x, y = (a.ravel() for a in np.meshgrid(g, g, indexing="ij"))
     top = np.full((n, n), 0.005)
     for i, j in pinched:
         top[i, j] = -0.005
-    vertices = np.vstack(
-        [np.column_stack([x, y, top.ravel()]), np.column_stack([x, y, np.full(n * n, -0.005)])]
-    )
-    i, j = (a.ravel() for a in np.meshgrid(range(n - 1), range(n - 1), indexing="ij"))
-    a, b, c, d = i * n + j, (i + 1) * n + j, (i + 1) * n + j + 1, i * n + j + 1
-    upper = np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    above, upper = height_field(lambda x, y: top, 0.05, n)
+    vertices = np.vstack([above, above * [1.0, 1.0, 0.0] - [0.0, 0.0, 0.005]])
     k = np.arange(n - 1)
     rim = np.concatenate([k * n, (n - 1) * n + k, n * n - 1 - k * n, n - 1 - k])
     end = np.roll(rim, -1)

@@ -10,10 +10,12 @@ from meshskin.core import codegen
 from meshskin.core.errors import MeshError
 from meshskin.geometry.body import Body
 from meshskin.geometry.mesh.triangles import closest_on_triangles
-from meshskin.geometry.surface import compiled_search, newton
+from meshskin.geometry.surface import compiled_search
 from meshskin.geometry.surface.closest_point import ReferenceSearch
 from meshskin.geometry.surface.compiled_search import CompiledSearch
 from meshskin.geometry.surface.surface import Surface
+
+from .test_surface import descended
 
 needs_compiler = pytest.mark.skipif(codegen.find_compiler() is None, reason="no C compiler here")
 BODIES = {
@@ -38,13 +40,6 @@ def cloud(surface, count, reach, seed=0):
     corners = surface.vertices[surface.faces[rng.integers(len(surface.faces), size=count)]]
     on = np.einsum("nk,nkc->nc", rng.dirichlet((1, 1, 1), count), corners)
     return on + rng.uniform(-reach, reach, size=(count, 3))
-
-
-def descended(surface, points, face):
-    """Distances (n,), m, at which Newton's descents from faces (n,) or one end."""
-    face = np.broadcast_to(face, len(points))
-    at = newton.descend(surface, face, points, newton.point_distance)
-    return np.linalg.norm(surface.at(*at).point - points, axis=1)
 
 
 def both(surface):
