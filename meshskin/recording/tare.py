@@ -88,19 +88,10 @@ def tare(
     n, t = values.shape
     if n <= MIN_FRAMES:
         raise _silent(name, f"it has {n} frames")
-    missing = ~np.isfinite(values)
-    lost = missing.copy()
-    if lost.any():
-        values = last_known(values, missing)
     columns = [slice(k, min(k + COLUMNS, t)) for k in range(0, t, COLUMNS)]
-    largest, span = np.concatenate([_ranges(values[:, part]) for part in columns], axis=1)
-    far = GLITCH * largest.max()
-    glitches = np.concatenate([_jumps(values[:, part], far) for part in columns], axis=1)
-    alone = np.convolve(glitches.any(axis=1), [1, 1, 1], "same") == 1
-    glitches &= alone[:, None]
-    if glitches.any():
-        missing |= glitches
-        values = last_known(values, missing)
+    lost = ~np.isfinite(values)
+    values, span, glitches = _without_glitches(values, lost, columns)
+    missing = lost | glitches
     noise, floor = np.concatenate([_noise(values[:, p], span[p]) for p in columns], axis=1)
     if not noise.any():
         raise _silent(name, "no reading ever changes")
@@ -145,17 +136,31 @@ def tare(
     if falling:
         np.negative(readings, out=readings)
     readings[missing] = np.nan
-    if lost.any():
-        _fill_rest(readings, lost, off * noise)
+    _fill_rest(readings, lost, off * noise)
     return Tared(
         readings, noise, np.ptp(levels, axis=0), in_contact, falling, int(glitches.sum()),
         times[:0] if jumps is None else jumps,
     )  # fmt: skip
 
 
+def _without_glitches(
+    values: NDArray[np.number], lost: NDArray[np.bool_], columns: list[slice]
+) -> tuple[NDArray[np.number], Array, NDArray[np.bool_]]:
+    """The values (n, t) with known ones in place of those that are lost and of glitches, the ranges
+    (t,) of the taxels, and the glitches (n, t)."""
+    if lost.any():
+        values = last_known(values, lost)
+    largest, span = np.concatenate([_ranges(values[:, part]) for part in columns], axis=1)
+    glitches = np.hstack([_jumps(values[:, part], GLITCH * largest.max()) for part in columns])
+    glitches &= (np.convolve(glitches.any(axis=1), [1, 1, 1], "same") == 1)[:, None]  # alone
+    if glitches.any():
+        values = last_known(values, lost | glitches)
+    return values, span, glitches
+
+
 def _fill_rest(readings: NDArray[np.floating], lost: NDArray[np.bool_], limit: Array) -> None:
-    """Put the mean of the readings (n, t) before and after in place of those that are lost (n, t),
-    where both are within `limit` (t,) of the level at rest."""
+    """Put the mean of those before and after for readings (n, t) that are lost (n, t), where both
+    are within `limit` (t,) of the level at rest."""
     frame, taxel = np.nonzero(lost[1:-1])
     before, after = readings[frame, taxel], readings[frame + 2, taxel]
     rest = (np.abs(before) <= limit[taxel]) & (np.abs(after) <= limit[taxel])
