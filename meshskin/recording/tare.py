@@ -8,7 +8,6 @@ to where none exceeds a lower threshold (hysteresis).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -89,15 +88,10 @@ def tare(
     n, t = values.shape
     if n <= MIN_FRAMES:
         raise _silent(name, f"it has {n} frames")
-    lost = ~np.isfinite(values)
-    if lost.any():
-        values = last_known(values, lost)
     columns = [slice(k, min(k + COLUMNS, t)) for k in range(0, t, COLUMNS)]
-    largest, span = np.concatenate([_ranges(values[:, part]) for part in columns], axis=1)
-    glitches = _glitches(values, columns, GLITCH * largest.max())
+    lost = ~np.isfinite(values)
+    values, span, glitches = _without_glitches(values, lost, columns)
     missing = lost | glitches
-    if glitches.any():
-        values = last_known(values, missing)
     noise, floor = np.concatenate([_noise(values[:, p], span[p]) for p in columns], axis=1)
     if not noise.any():
         raise _silent(name, "no reading ever changes")
@@ -149,18 +143,24 @@ def tare(
     )  # fmt: skip
 
 
-def _glitches(
-    values: NDArray[np.number], columns: Sequence[slice], far: float
-) -> NDArray[np.bool_]:
-    """Readings (n, t) that jump by more than `far` for one frame, where no frame beside does."""
-    glitches = np.concatenate([_jumps(values[:, part], far) for part in columns], axis=1)
-    alone = np.convolve(glitches.any(axis=1), [1, 1, 1], "same") == 1
-    return np.asarray(glitches & alone[:, None])
+def _without_glitches(
+    values: NDArray[np.number], lost: NDArray[np.bool_], columns: list[slice]
+) -> tuple[NDArray[np.number], Array, NDArray[np.bool_]]:
+    """The values (n, t) with known ones in place of those that are lost and of glitches, the ranges
+    (t,) of the taxels, and the glitches (n, t)."""
+    if lost.any():
+        values = last_known(values, lost)
+    largest, span = np.concatenate([_ranges(values[:, part]) for part in columns], axis=1)
+    glitches = np.hstack([_jumps(values[:, part], GLITCH * largest.max()) for part in columns])
+    glitches &= (np.convolve(glitches.any(axis=1), [1, 1, 1], "same") == 1)[:, None]  # alone
+    if glitches.any():
+        values = last_known(values, lost | glitches)
+    return values, span, glitches
 
 
 def _fill_rest(readings: NDArray[np.floating], lost: NDArray[np.bool_], limit: Array) -> None:
-    """Put the mean of the readings (n, t) before and after in place of those that are lost (n, t),
-    where both are within `limit` (t,) of the level at rest."""
+    """Put the mean of those before and after for readings (n, t) that are lost (n, t), where both
+    are within `limit` (t,) of the level at rest."""
     frame, taxel = np.nonzero(lost[1:-1])
     before, after = readings[frame, taxel], readings[frame + 2, taxel]
     rest = (np.abs(before) <= limit[taxel]) & (np.abs(after) <= limit[taxel])

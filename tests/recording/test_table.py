@@ -405,6 +405,7 @@ def test_thousands_are_no_decimals(tmp_path):
         (b"0.0,1.5\n0.1,1.6\n", "no header line, got '0.0,1.5'; write the names"),
         (b"time,q_1\n0,1,\n1,2,\n", "got 3 columns, limit: 2; give each column a name"),
         (b"time,q_1\n31.01.2026 10:00,1\n", "'31.01.2026 10:00' in row 1; .*or dates as"),
+        (b"time,q_1\ns,rad\n0,1\n", "got time = 's' in row 1; .*or remove the row"),
     ],
 )
 def test_files_that_must_be_saved_anew(tmp_path, content, words):

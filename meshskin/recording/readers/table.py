@@ -308,7 +308,7 @@ def _numbers(batch: pa.RecordBatch, columns: list[str], file: Path, row: int) ->
             raise RecordingError(
                 f"the columns of {file.name} must contain numbers",
                 value=f"{name} = {repr_short(values[at])} in row {row + at + 1}",
-                remedy="write times in s, or dates as 2026-01-31 10:00:00.000"
+                remedy="write times in s, or dates as 2026-01-31 10:00:00.000, or remove the row"
                 if name == columns[0]
                 else "write numbers with decimal points and without separators of thousands, leave "
                 "missing ones empty, or leave the column out of the map",
