@@ -170,8 +170,7 @@ def view_3d(data: ReportData, transparent: bool) -> dict[str, Any]:
         traces.append(body(mesh.vertices, mesh.faces, skin, 0.06 * between, transparent))
         extent = np.concatenate([skin, mesh.vertices])
     if data.recording is not None and len(data.recording.points):
-        located = bool(np.isfinite(positions).any())
-        traces.append(_route(data.recording.points, data.recording.time, located))
+        traces.append(_route(data.recording, len(finite_rows(positions)) > 0))
         extent = _with_path(extent, data.recording.points)
     if true is not None:
         traces += _true_taxels(names, true, between)
@@ -203,14 +202,12 @@ def _with_path(extent: Array, path: Array) -> Array:
     return np.concatenate([extent, path[off < np.linalg.norm(high - low)]])
 
 
-def _route(points: Array, time: Array, located: bool) -> dict[str, Any]:
+def _route(recording: Recording, located: bool) -> dict[str, Any]:
     """The path of the contact; where no taxel is located, its points are what is to be seen."""
-    line = {"color": theme.MUTED, "width": 2}
-    path, _ = path_with_breaks(points, time)
+    path, _ = path_with_breaks(recording.points, recording.time)
     dots = {"color": theme.MUTED if located else theme.WARNING, "size": 1 if located else 3}
-    return _scatter(
-        "path of the contact", path, "lines+markers", line=line, marker=dots, hoverinfo="skip"
-    )
+    style = {"line": {"color": theme.MUTED, "width": 2}, "marker": dots, "hoverinfo": "skip"}
+    return _scatter("path of the contact", path, "lines+markers", **style)
 
 
 def _true_taxels(ids: Array, poses: Array, pitch: float) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ import pyarrow.compute as pc
 
 import meshskin as ms
 from meshskin import cli
+from meshskin.report import scene3d
 
 from ..real_data import DATA, needs_icub, needs_icub_log
 
@@ -62,6 +63,8 @@ def test_contact_points_of_the_taxels_themselves_are_refused(noisy, noisy_record
     assert "own map" in found.verdict.reasons[0]
     assert not found.observed.any()
     assert found.readings.sum() == (noisy_recording.pressure > 0).sum()
+    seen, path = (scene3d._route(noisy_recording, located) for located in (False, True))
+    assert seen["marker"]["size"] > 2 * path["marker"]["size"]  # dots that can be seen
     assert not any("off the surface" in reason for reason in found.verdict.reasons)
     moved = recording.contacts
     for name in ("px", "py", "pz"):
