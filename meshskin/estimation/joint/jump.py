@@ -24,6 +24,9 @@ PLACES = 15
 PERIODS, GROUP = 30, 2.0
 """Parts of a recording, and size of a part of the body in reaches of a contact, over which errors
 that neighbouring contacts share are summed."""
+APART, MIN_PLACES = 0.1, 5
+"""Part of the recording between a jump and other places whose scores it is compared with, and their
+least number."""
 TOGETHER = 3
 """Places whose displacements are solved for together: more need the memory of the contacts' again.
 """
@@ -106,9 +109,21 @@ def largest_jump(fitted: FittedReadings, parts: ArrayLike | None = None) -> Jump
         if jump.score <= best.score:
             break
         if jump.score > MIN_SCORE:  # else none is shown, whatever its factor
-            jump = replace(jump, score=jump.score / _shared_deviation(fitted, moved, jump))
+            factor = min(_shared_deviation(fitted, moved, jump), _usual_score(jump, found))
+            jump = replace(jump, score=jump.score / factor)
         best = max(best, jump, key=lambda jump: jump.score)
     return best
+
+
+def _usual_score(jump: Jump, found: list[Jump]) -> float:
+    """Root of the mean squared score of jumps at other places, at least 1: errors that neighbouring
+    contacts share raise them all; infinite for a drift, which has its displacement everywhere, and
+    where they are few.
+
+    Few groups of contacts see a jump, those next to it: they hardly tell its deviation.
+    """
+    scores = np.array([x.score for x in found if abs(x.part - jump.part) > APART])
+    return max(1.0, float(np.mean(scores**2)) ** 0.5) if len(scores) >= MIN_PLACES else np.inf
 
 
 def _shared_deviation(fitted: FittedReadings, moved: Array, jump: Jump) -> float:

@@ -78,7 +78,8 @@ class ModelDepartures:
         moved = rejected_readings.displacements(self.fitted, readings.precision, spread)
         whole = fitted_readings(estimator, np.ones_like(readings.weight))
         both = np.stack([moved, gain_changes.displacements(whole, noise)])
-        return np.asarray(np.einsum("sni,snj->nij", both, both) + self.second.covariances)
+        second = 0.0 if self.jump.shown.any() else self.second.covariances  # counted with the jump
+        return np.asarray(np.einsum("sni,snj->nij", both, both) + second)
 
     def scores(self, estimator: JointEstimator) -> dict[str, float]:
         """The score of each, by its name."""

@@ -25,7 +25,7 @@ LEAST_READINGS, EXPLAINED = 6, 0.75
 each cut at CUTOFF, that it explains: what is left is 2.2 standard deviations, rms, at most."""
 MIN_TAXELS, MIN_PART = 3, 0.5
 """Taxels with a second place, at least, and their part of those with LEAST_READINGS outlying ones,
-from which the others are in doubt, too."""
+from which they count: single taxels are at fault by themselves, as two that exchange their ids."""
 MAX_TAXELS = 100
 """Taxels, evenly chosen, whose outlying readings are fitted: their mean square is then known to
 about 10 %."""
@@ -66,7 +66,7 @@ def second_fits(estimator: JointEstimator) -> SecondFits:
     tangents = parametrization.rotations()[:, :, :2]
     own, found = tangential_square(tangents, apart), gains > 0
     if found.sum() < max(MIN_TAXELS, MIN_PART * len(chosen)):
-        return SecondFits(own)
+        return SecondFits(np.zeros((n, 2, 2)))  # these taxels alone: their other readings tell
     size = np.linalg.norm(apart[found], axis=1)
     words = (
         f"another place of {found.sum()} of the {len(chosen)} taxels with many outlying readings, "

@@ -4,11 +4,12 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from scipy import stats
 
 import meshskin as ms
 from meshskin.estimation.joint.departures import normal_score
-from meshskin.estimation.joint.jump import largest_jump
+from meshskin.estimation.joint.jump import Jump, _usual_score, largest_jump
 from meshskin.geometry.region import Cap
 
 
@@ -65,6 +66,17 @@ def test_a_displacement_that_grows_is_a_drift():
     assert "a drift of the contacts by 1 mm" in next(iter(found.departure))
 
 
+def test_scores_at_other_places_tell_what_is_usual():
+    """A jump that only the contacts next to it show has one group of them to tell its deviation."""
+    found = [Jump(score=k * 1.0, part=0.05 * k) for k in range(1, 19)]
+    jump = Jump(score=20.0, part=0.51)
+    usual = np.sqrt(np.mean([k**2 for k in range(1, 19) if not 9 <= k <= 12]))
+    assert _usual_score(jump, [*found, jump]) == pytest.approx(usual)
+    assert _usual_score(jump, [Jump(score=0.1, part=0.05 * k) for k in range(19)]) == 1.0
+    assert _usual_score(Jump(score=20.0, part=np.nan), found) == np.inf
+    assert _usual_score(jump, found[8:14]) == np.inf
+
+
 def lanes(scene, seed):
     """A log in back-and-forth lanes 2.5 mm apart, and the lanes' direction."""
     rng, skin = np.random.default_rng(seed), scene.skin
@@ -105,6 +117,26 @@ def test_contacts_that_drift_by_1_mm_on_the_surface():
     assert np.isfinite(error).sum() == 60
     stated = np.mean(found.position_sigma**2) / np.mean(error**2)
     assert 0.8 < stated**0.5 < 1.6
+
+
+def test_contacts_that_are_displaced_for_some_time_only():
+    """By 2 mm along the surface from 33 % to 63 %, and back: taxels that were touched in both parts
+    fit one, and taxels that were touched then have no outlying reading and are 2 mm off."""
+    scene = on_a_capsule()
+    (log, along), k = lanes(scene, 2), np.arange(600)
+    moved = log.points + np.outer((k >= 200) & (k < 380), 2e-3 * along)
+    log = log.with_columns(points=scene.body.closest(moved).point)
+    found = ms.calibrate(log, scene.belief(contact="elliptic", noise_sigma=None))
+    assert found.verdict is not None
+    assert found.verdict.level == "DOUBT"
+    (words,) = [words for words in found.verdict.reasons if "another place of" in words]
+    assert "2 mm away" in words
+    error = np.linalg.norm(found.positions - scene.skin.positions, axis=1)
+    good = np.isfinite(error)
+    assert good.sum() > 50
+    assert not np.any(good & (error > 0.3e-3) & (error > 5 * found.position_sigma))
+    stated = np.mean(found.position_sigma[good] ** 2) / np.mean(error[good] ** 2)
+    assert 1.0 < stated**0.5 < 2.5
 
 
 def test_a_jump_that_outlying_readings_hide_is_named_and_counted():
