@@ -117,7 +117,7 @@ class Hydroelastic:
             vertices = np.array(surface.tri_mesh_W().vertices())
             field = surface.tri_e_MN()
             pressure = np.array([field.EvaluateAtVertex(k) for k in range(len(vertices))])
-            frame = np.stack(sphere.tangents(point[None]), axis=2)[0]
+            frame = np.stack(sphere.tangents(normal[None]), axis=2)[0]
             row[:] = disc_means((self.skin(vertices) - point) @ frame, pressure,
                                 (positions - point) @ frame)  # fmt: skip
         return out
