@@ -170,12 +170,15 @@ def assess(found: Calibration, recording: Recording) -> dict[str, Any]:
 
 def next_touches(found: Calibration) -> list[str]:
     """The touches that reduce the largest uncertainties most, in words; none where the verdict is
-    PASS and every taxel is determined, or where no contact can be aimed at a taxel."""
+    PASS and every taxel is determined, or where no contact can be aimed at a taxel. A taxel whose
+    reading never changes is not looked for."""
     from ..core.errors import MeshskinError
+    from ..estimation.calibrate import CONSTANT
     from ..estimation.uncertainty.verdict import PASS
 
+    dead = np.asarray(found.reasons) == CONSTANT
     done = found.verdict is not None and found.verdict.level == PASS
-    if found.belief is None or (done and found.observed[:, :2].all()):
+    if found.belief is None or (done and found.observed[~dead, :2].all()):
         return []
     try:
         planned = found.next_contacts(TOUCHES)
@@ -185,8 +188,8 @@ def next_touches(found: Calibration) -> list[str]:
         f"({', '.join(f'{1e3 * x:.1f}' for x in point)}) mm, for taxel {taxel}"
         for point, taxel in zip(planned.points, planned.taxel, strict=True)
     ]
-    if len(planned.unreached):
-        lines.append(f"sweep for the {len(planned.unreached)} taxels without any reading")
+    if count := len(np.setdiff1d(planned.unreached, found.ids[dead])):
+        lines.append(f"sweep for the {count} taxel{'s' * (count > 1)} without any reading")
     return lines
 
 

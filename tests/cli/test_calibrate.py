@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -14,6 +15,7 @@ import meshskin as ms
 from meshskin import cli
 from meshskin.cli import belief_options, calibrate
 from meshskin.core.errors import ConfigError, MeshError
+from meshskin.estimation.calibrate import CONSTANT
 from meshskin.estimation.uncalibrated import uncalibrated
 from meshskin.scene.schema import body_table
 
@@ -276,6 +278,25 @@ def test_why_taxels_are_left_out_is_said(log, tmp_path, capsys):
     asked = ["calibrate", str(tmp_path), *known(log), "--young-kpa", "150", "--contact", "hertz"]
     assert cli.main([*asked, "--out", str(tmp_path / "out")]) == 0
     assert "left out         1 taxel: fewer than three readings" in capsys.readouterr().out
+
+
+def found_with(level, reasons):
+    """A calibration whose taxels without a position are left out for the `reasons`."""
+    lost = np.array([bool(words) for words in reasons])
+    planned = SimpleNamespace(points=np.zeros((1, 3)), taxel=[7], unreached=np.flatnonzero(lost))
+    return SimpleNamespace(
+        verdict=SimpleNamespace(level=level), belief=True, ids=np.arange(len(lost)),
+        reasons=np.array(reasons), observed=np.tile(~lost[:, None], 6),
+        next_contacts=lambda count: planned,
+    )  # fmt: skip
+
+
+def test_a_taxel_that_never_changes_is_not_looked_for():
+    touch = "(0.0, 0.0, 0.0) mm, for taxel 7"
+    assert calibrate.next_touches(found_with("PASS", ["", CONSTANT])) == []
+    assert calibrate.next_touches(found_with("DOUBT", ["", CONSTANT])) == [touch]
+    swept = [touch, "sweep for the 1 taxel without any reading"]
+    assert calibrate.next_touches(found_with("PASS", ["", CONSTANT, "never read"])) == swept
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ as they do not move linearly with the unknowns.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from ..data.patch_shape import fitting, over_patches
 from .clock import first_offset
 from .heights import Heights, depths, surface_heights, timed_by_the_fastest
 from .joint_residuals import joint_residuals
-from .log_calibration import LogCalibration
+from .log_calibration import AT_REST, LogCalibration
 from .mesh_error import MeshError
 from .plausible import check_on_body
 from .steady import steady
@@ -87,37 +87,90 @@ def calibrate_log(
     if reference is None:
         reference = typical_force(log)
     belief = replace(belief, force_reference=reference)
-    used, clock, heights, x = _started(log, kinematics, path, belief, reference)
-    rounds, moved, shift = 0, np.inf, np.inf
-    noise = belief.noise_sigma if belief.readings == RAW else None
-    while rounds < MAX_ROUNDS and (moved > LINEAR or shift > APART):
-        rounds += 1
-        known = replace(belief, surface_sigma=heights.mesh_error.sigma, noise_sigma=noise)
-        found, recording, values, (shift, moved) = _estimated(
-            used, heights, x, known, reference, progress
-        )
-        if noise is None and not _exceeds(found, belief.noise_sigma):
-            noise, moved, rounds = belief.noise_sigma, np.inf, rounds - 1
-        late, last = _clock_error(found, log, shift), clock
-        if anew := bool(late) and rounds < MAX_ROUNDS:
-            clock += late
-            used, clock, heights, x = _started(log, kinematics, path, belief, reference, clock)
-            moved, anew = np.inf, abs(clock - last) > abs(late) / 2  # else it starts as before
-        x = x if anew else heights.with_depth(values)
+    last, rounds, failure = _last_round(log, kinematics, path, belief, reference, progress)
+    heights, x, clock = last.heights, last.x, last.clock
     kinematics, as_believed = heights.model, np.zeros(len(x))
     if clock:
         as_believed[kinematics.columns["clock_offset"]] = -clock
     before = heights.residuals(as_believed)[0]
     after, factor = heights.residuals(x)[0], float(np.exp(x[-1]))
     by_joint = joint_residuals(kinematics, heights.path, heights.time, belief.body, after, x[:-1])
-    found = _with_clock(found, clock)
-    moved = moved if moved > LINEAR else shift if shift > APART else 0.0
+    found = _with_clock(last.found, clock)
+    moved = last.moved if last.moved > LINEAR else last.shift if last.shift > APART else 0.0
     result = LogCalibration(
-        found, recording, kinematics, after, before, rounds, moved, factor, by_joint
+        found, last.recording, kinematics, after, before, rounds, moved, factor, by_joint, failure
     )
     verdict = None if found.verdict is None else found.verdict.with_doubts(result.contradictions)
     warn_left_out("calibrated", found.reasons_left_out, len(found.ids))
     return replace(result, calibration=replace(found, verdict=verdict))
+
+
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """What one computation of the contacts gave."""
+
+    found: Calibration
+    recording: Recording
+    heights: Heights
+    x: Array
+    """(K + 1,): what was found, with the depths that it leaves to the contacts."""
+    clock: float
+    """Offset of the clocks, s, by which the contacts were moved before."""
+    shift: float
+    """Median displacement, m, of the contacts by what was found."""
+    moved: float
+    """Its part, m, that the linear table does not have."""
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether that part is small against the standard deviations of the taxels."""
+        sigma = self.found.position_sigma
+        known = sigma[np.isfinite(sigma)]
+        return bool(len(known) and self.moved <= AT_REST * np.median(known))
+
+
+def _last_round(
+    log: SkinLog,
+    kinematics: ContactKinematics,
+    path: JointPath,
+    belief: Belief,
+    reference: float,
+    progress: Progress | None,
+) -> tuple[_Round, int, str]:
+    """The last round that was estimated, the number of rounds, and why the one after it was not.
+
+    A later round begins from other contacts, from which the estimate may fail. What was found
+    before then holds, if it displaces its contacts linearly, on the clock that they were chosen on.
+    Raises CalibrationError where no such round is estimated.
+    """
+    used, clock, heights, x = _started(log, kinematics, path, belief, reference)
+    rounds, moved, shift = 0, np.inf, np.inf
+    last: _Round | None = None
+    noise = belief.noise_sigma if belief.readings == RAW else None
+    while rounds < MAX_ROUNDS and (moved > LINEAR or shift > APART):
+        known = replace(belief, surface_sigma=heights.mesh_error.sigma, noise_sigma=noise)
+        try:
+            found, recording, values, (shift, moved) = _estimated(
+                used, heights, x, known, reference, progress
+            )
+            x = heights.with_depth(values)
+            last = _Round(found, recording, heights, x, clock, shift, moved)
+            rounds += 1
+            if noise is None and not _exceeds(found, belief.noise_sigma):
+                noise, moved, rounds = belief.noise_sigma, np.inf, rounds - 1
+            late, before = _clock_error(found, log, shift), clock
+            if late and rounds < MAX_ROUNDS:
+                clock, moved, last = clock + late, np.inf, None
+                used, clock, heights, start = _started(
+                    log, kinematics, path, belief, reference, clock
+                )
+                x = start if abs(clock - before) > abs(late) / 2 else heights.with_depth(values)
+        except CalibrationError as error:
+            if last is None or not last.at_rest:
+                raise
+            return last, rounds, str(error)
+    assert last is not None
+    return last, rounds, ""
 
 
 def _estimated(

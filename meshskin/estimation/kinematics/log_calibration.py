@@ -62,6 +62,9 @@ class LogCalibration(Value, Card):
     """Depth of the indentations, relative to that under the believed material and force."""
     joint_residuals: tuple[JointResidual, ...] = ()
     """What an error of each joint that varies with its angle would explain of `heights`."""
+    failure: str = ""
+    """Why the calibration with the contacts as they were found failed, and is that of the round
+    before; empty where it did not."""
 
     def facts(self) -> dict[str, str]:
         """The facts of the calibration, and what the log shows of the robot, for a notebook."""
@@ -173,5 +176,10 @@ class LogCalibration(Value, Card):
                 f"contacts still moved by {1e3 * self.moved:.2g} mm in the last of {self.rounds} "
                 "rounds: the standard deviations can be too small; calibrate again from what was "
                 "found, with the corrected URDF"
+            )
+        if self.failure:
+            found.append(
+                f"contacts were not computed again after round {self.rounds}, whose result this "
+                f"is: {self.failure}; or calibrate again with the corrected URDF"
             )
         return tuple(found)

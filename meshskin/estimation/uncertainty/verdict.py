@@ -112,8 +112,10 @@ def forces(recording: Recording, calibration: Calibration) -> list[Finding]:
     if np.ptp(force) == 0 and not (fits and (applied or estimated)):
         words = (
             f"the force is constant, {force[0]:.3g} N in all {len(force)} contacts: record the "
-            'measured force, or estimate unknown=("modulus", "force_scale")'
+            "measured force"
         )
+        if not estimated:  # a learned response has the scale of the forces already
+            words += ', or estimate unknown=("modulus", "force_scale")'
         found.append((DOUBT, words))
     wrong = np.zeros(len(force), dtype=bool)
     wrong[np.unique(recording.reading_contact)] = True

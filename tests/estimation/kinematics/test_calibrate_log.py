@@ -1,12 +1,15 @@
 """A skin, joint offsets and a clock offset from joint angles and raw counts alone."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import meshskin as ms
 from meshskin.core.errors import CalibrationError, ConfigError, RecordingError
 from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.kinematics import calibrate_log as log_module
 from meshskin.estimation.kinematics.calibrate_log import calibrate_log
 from meshskin.estimation.kinematics.clock import first_offset
 from meshskin.estimation.kinematics.heights import Heights, timed_by_the_fastest
@@ -132,6 +135,58 @@ def test_a_first_offset_that_comes_out_as_before_is_no_round_more(small, monkeyp
     assert found.moved == 0.0
     assert found.calibration.verdict.level == "PASS"
     check(small, found, 1.2)
+
+
+def rounds_that(monkeypatch, *given):
+    """Let the rounds of a log end as given: by the displacement, m, that the linear table does not
+    have, or by an error."""
+    heights = SimpleNamespace(
+        mesh_error=SimpleNamespace(sigma=0.0), with_depth=lambda values: values
+    )
+    found, ends = SimpleNamespace(unknowns={}, position_sigma=np.full(5, 1e-4)), iter(given)
+
+    def estimated(*args):
+        end = next(ends)
+        if isinstance(end, Exception):
+            raise end
+        return found, "recording", end, (1e-5, end)
+
+    monkeypatch.setattr(log_module, "_started", lambda *args: ("log", 0.0, heights, 0.0))
+    monkeypatch.setattr(log_module, "_estimated", estimated)
+    log, known = SimpleNamespace(force=np.ones(3)), ms.Scene.load("sphere").belief(readings="raw")
+    return log_module._last_round(log, None, None, known, 1.0, None)
+
+
+def test_a_round_that_fails_leaves_the_one_before(monkeypatch):
+    last, rounds, failure = rounds_that(monkeypatch, 2e-5, 1e-5, CalibrationError("no end"))
+    assert (last.x, rounds, failure) == (1e-5, 2, "no end")
+    last, rounds, failure = rounds_that(monkeypatch, 2e-5, 1e-6)
+    assert (last.x, rounds, failure) == (1e-6, 2, "")
+
+
+@pytest.mark.parametrize("before", [[], [1e-3]])
+def test_a_round_that_fails_is_an_error_where_none_before_holds(monkeypatch, before):
+    with pytest.raises(CalibrationError, match="no end"):
+        rounds_that(monkeypatch, *before, CalibrationError("no end"))
+
+
+@pytest.mark.slow
+def test_the_round_before_one_that_failed_is_a_doubt(small, monkeypatch):
+    calls = []
+
+    def failing(*args, **kwargs):
+        calls.append(args)
+        if len(calls) > 1:
+            raise CalibrationError("no end")
+        return calibrate(*args, **kwargs)
+
+    monkeypatch.setattr(log_module, "calibrate", failing)
+    monkeypatch.setattr(log_module, "_clock_error", lambda *args: 0.0)
+    found = calibrate_log(small.log, small.kinematics(**KNOWN), belief(small))
+    assert found.calibration.verdict.level == "DOUBT"
+    assert any("no end" in words for words in found.calibration.verdict.reasons)
+    errors = position_errors(found.calibration, small.scene.skin)
+    assert np.nanmax(errors / found.calibration.position_sigma) < 5
 
 
 @pytest.mark.slow

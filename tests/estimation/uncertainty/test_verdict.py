@@ -117,6 +117,18 @@ def error_and_sigma(scene, found):
     return 1e3 * np.sqrt(np.nanmean(error**2)), 1e3 * np.nanmedian(found.position_sigma)
 
 
+@pytest.mark.parametrize("measured", [True, False])
+def test_the_scale_of_forces_that_a_learned_response_has_is_no_remedy(measured):
+    recording = SimpleNamespace(
+        force=np.ones(20), metadata={}, force_measured=measured, reading_contact=np.arange(20)
+    )
+    found = SimpleNamespace(fit=SimpleNamespace(good=False), response="learned")
+    ((level, words),) = verdict.forces(recording, found)
+    assert level == "DOUBT"
+    assert "record the measured force" in words
+    assert ("force_scale" in words) == measured
+
+
 QUICK = ("constant force", "6 mm out", "indenter 1 mm off", "a quarter frame late")
 """Logs that are also tried with an unknown noise without -m slow."""
 
