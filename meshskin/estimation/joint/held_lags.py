@@ -66,7 +66,7 @@ def held_lags(fitted: FittedReadings, drag: float = 0.0) -> SmallEffects:
         *_of_a_scan(fitted, late, variances, drag, of_ids - of_ids.mean()),
         *_of_a_scan(fitted, late, variances, drag, by_place),
     ]
-    if fitted.system is None or drag:  # else errors of the contacts pass for lags of single taxels
+    if fitted.system is None or drag:  # else errors of the contacts pass for them
         trials += _of_their_own(alone, late, variances, drag)
     gain, square = (np.array(part) for part in zip(*trials, strict=True))
     largest = float(gain.max())
@@ -83,20 +83,22 @@ def held_lags(fitted: FittedReadings, drag: float = 0.0) -> SmallEffects:
 
 
 def contact_leverages(fitted: FittedReadings) -> Array:
-    """Leverages (k,) of the readings in the errors of their contacts, the other unknowns known;
-    zero where contacts have none."""
-    if fitted.system is None:
-        return np.zeros_like(fitted.mu)
+    """Leverages (k,) of the readings in the errors of their contacts, the other unknowns known."""
+    assert fitted.system is not None
     jacobian = fitted.jacobian[:, -CONTACT_SIZE:]
     inverse = np.linalg.inv(fitted.system.contacts)[fitted.readings.contact]
     return np.asarray(fitted.curvature * np.einsum("ka,kab,kb->k", jacobian, inverse, jacobian))
 
 
 def _of_single_taxels(fitted: FittedReadings) -> FittedReadings:
-    """The readings of each taxel as if the others were known: what is not known of the errors of
-    its contacts is noise of its readings."""
+    """The readings of each taxel as if the others were known, at the optimum: what is not known of
+    the errors of its contacts is noise of its readings."""
+    if (system := fitted.system) is None:
+        return fitted
+    step = system.solve(*(part[..., None] for part in system.gradient))
+    rate = fitted.rate - fitted.curvature * system.forward(fitted.jacobian, step)[:, 0]
     free = np.maximum(1 - contact_leverages(fitted), 0.0)
-    return replace(fitted, curvature=fitted.curvature * free, system=None)
+    return replace(fitted, rate=rate, curvature=fitted.curvature * free, system=None)
 
 
 def _of_a_scan(
