@@ -62,10 +62,9 @@ def held_lags(fitted: FittedReadings, drag: float = 0.0) -> SmallEffects:
     variances = np.array([drag**2 / PRIOR[0] / unit**2]) if drag else SPREADS**2
     order, places = np.argsort(np.argsort(data.ids[fitted.readings.live])), fitted.points
     of_ids, by_place = (order[:, None] + 0.5) / n, places - places.mean(axis=0)
-    trials = [
-        *_of_a_scan(fitted, late, variances, drag, of_ids - of_ids.mean()),
-        *_of_a_scan(fitted, late, variances, drag, by_place),
-    ]
+    trials = list(_of_a_scan(fitted, late, variances, drag, of_ids - of_ids.mean()))
+    if drag:  # else other errors pass for them: an ellipsoid had 1.5 times the error
+        trials += _of_a_scan(fitted, late, variances, drag, by_place)
     if fitted.system is None or drag:  # else errors of the contacts pass for them
         trials += _of_their_own(alone, late, variances, drag)
     gain, square = (np.array(part) for part in zip(*trials, strict=True))
