@@ -36,6 +36,9 @@ DIVIDED, GATHERED = 3.0, 1.5
 """Distance of the middles of a taxel's strong readings before and after a time, and their own
 spread, rms, in that of a usual taxel's strong readings, from which, and up to which, they are at
 two places. Strong readings at one place lie in a disc, which is 2.83 wide in this unit."""
+FAINT = 0.25
+"""Largest reading of a taxel, in the median taxel's, below which it may be noise, which is read
+anywhere."""
 EACH = 2
 """Strong readings, at least, before and after: one may be corrupt."""
 
@@ -92,6 +95,7 @@ def exchanged_taxels(data: Measurements) -> tuple[np.ndarray, np.ndarray, float]
     time at which most do. A taxel's strong readings are divided where they then spread least."""
     largest, n = np.zeros(len(data.ids)), len(data.ids)
     np.maximum.at(largest, data.taxel, data.pressure)
+    largest[largest < FAINT * np.median(largest[data.counts > 0])] = np.inf
     strong = np.flatnonzero(data.pressure > STRONG * largest[data.taxel])
     strong = strong[np.lexsort((data.contact[strong], data.taxel[strong]))]
     where = data.points[data.contact[strong]]
@@ -101,10 +105,11 @@ def exchanged_taxels(data: Measurements) -> tuple[np.ndarray, np.ndarray, float]
     if not (count >= MIN_READINGS).any():
         return np.empty(0, dtype=int), np.empty(0, dtype=int), 0.0
     usual, ends = np.median(square[count[count > 0] >= MIN_READINGS]) ** 0.5, np.cumsum(count)
+    reach = float(np.median(data.reach()))  # lanes far apart divide the readings of one place
     between = np.zeros((n, 2), dtype=int)
     for t in np.flatnonzero(count >= 2 * EACH):
         rows = slice(ends[t] - count[t], ends[t])
-        between[t] = _division(where[rows], contact[rows], usual)
+        between[t] = _division(where[rows], contact[rows], usual, reach)
     last, first = between.T  # contact at one place, and at the other; of others both are 0
     at = max(last.tolist(), key=lambda at: int(np.sum((last <= at) & (first > at))))
     exchanged = np.flatnonzero((last <= at) & (first > at))
@@ -114,9 +119,10 @@ def exchanged_taxels(data: Measurements) -> tuple[np.ndarray, np.ndarray, float]
     return exchanged, np.flatnonzero(both), float(at + 1) / max(len(data.points), 1)
 
 
-def _division(where: Array, contact: np.ndarray, usual: float) -> tuple[int, int]:
+def _division(where: Array, contact: np.ndarray, usual: float, least: float) -> tuple[int, int]:
     """The contacts before and after which readings at (q, 3), m, in the order of their contacts
-    (q,), are at two places; (0, 0) where they are not. usual: spread, m, at one place."""
+    (q,), are at two places; (0, 0) where they are not. usual: spread, m, at one place; least:
+    distance, m, of two places."""
     k = np.arange(EACH, len(where) - EACH + 1)
     off = where - where.mean(axis=0)
     sums, squares = np.cumsum(off, axis=0), np.cumsum(np.sum(off**2, axis=1))
@@ -126,7 +132,7 @@ def _division(where: Array, contact: np.ndarray, usual: float) -> tuple[int, int
     spread = square - np.sum(means**2, axis=2)
     best = int(np.argmin(np.sum(number * spread, axis=0)))
     apart = np.linalg.norm(means[0, best] - means[1, best])
-    if apart < DIVIDED * usual or spread[:, best].max() > (GATHERED * usual) ** 2:
+    if apart < max(DIVIDED * usual, least) or spread[:, best].max() > (GATHERED * usual) ** 2:
         return 0, 0
     return int(contact[k[best] - 1]), int(contact[k[best]])
 
