@@ -373,6 +373,26 @@ def test_ways_to_write_a_table(tmp_path, make, encoding):
     assert last.values.sum() == N
 
 
+@pytest.mark.parametrize(
+    "header",
+    ["time,0,1,2,3", "# arm 1\ntime,0,1,2,3", "# caf\x85\ntime,0,1,2,3", "% time 0 1 2 3"],
+)
+def test_headers_with_numbers_and_comments(tmp_path, header):
+    """Columns of a table without names are numbered, as by pandas."""
+    text = f"{header}\n0.0,1,2,3,4\n0.01,1,2,3,5\n"
+    text = text.replace(",", " ") if "%" in header else text
+    (tmp_path / "log.csv").write_bytes(text.encode("latin-1"))
+    (stream,) = read_log(tmp_path / "log.csv", LogMap((StreamMap("*", "taxels"),))).streams
+    np.testing.assert_array_equal(stream.values, [[1, 2, 3, 4], [1, 2, 3, 5]])
+
+
+def test_a_file_that_is_torn_in_its_first_row_has_no_samples(tmp_path):
+    (tmp_path / "log.csv").write_text("time,q_0,q_1\n0.0,1.0,2")
+    log, _ = read_and_suggest(tmp_path / "log.csv")
+    assert [len(stream) for stream in log.streams] == [0]
+    assert "its last line is left out" in log.notes[0]
+
+
 def test_runs_of_spaces_at_any_place_of_a_file():
     from meshskin.recording.readers.csv_file import _SingleSpaces
 
