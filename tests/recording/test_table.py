@@ -489,6 +489,18 @@ def test_lists_and_nested_fields_of_parquet(tmp_path, kind):
     np.testing.assert_allclose(stream.times, 5 + np.arange(N) / 10)
 
 
+def test_lists_may_be_empty_in_the_rows_of_other_streams(tmp_path):
+    """More of them than are read at once."""
+    lists = [[1.0, 2.0, 3.0]] * 5000 + [None] * 9000
+    table = pa.table({"time": np.arange(14_000) / 100, "skin": lists})
+    pq.write_table(table, tmp_path / "log.parquet")
+    given = StreamMap("skin", "taxels", ("skin[[]?]",))
+    (stream,) = read_log(tmp_path / "log.parquet", LogMap((given,))).streams
+    np.testing.assert_array_equal(stream.values, [[1.0, 2.0, 3.0]] * 5000)
+    listed, _ = read_and_suggest(tmp_path / "log.parquet")
+    assert [len(one) for one in listed.streams] == [5000]
+
+
 def test_lists_of_different_lengths_are_refused(tmp_path):
     table = pa.table({"time": [0.0, 0.1], "q": [[1.0], [1.0, 2.0]]})
     pq.write_table(table, tmp_path / "a.parquet")
