@@ -93,13 +93,13 @@ def command(options: argparse.Namespace) -> int:
         return 0
     for line in (*listing(log, could), *about):
         print(line)
-    if robot is not None:
-        _compare_joints(options, could, robot)
     if all((options.log / name).is_file() for name in NAMES):
         print(f"no map is needed: meshskin calibrate {options.log} reads {' and '.join(NAMES)}")
     if options.write_map is not None:
         write_text(options.write_map, first_map(log, could, options.messages).to_toml())
         print(f"map: {options.write_map}")
+    if robot is not None:  # after the map, which its errors ask to correct
+        _compare_joints(options, could, robot)
     for stream in log.streams:
         if stream.backward is not None:
             stream.check_times()

@@ -183,7 +183,9 @@ def test_a_robot_of_another_log_is_one_line(bag, tmp_path, capsys, urdf, options
     if urdf is not None:
         (tmp_path / "arm.urdf").write_text(urdf)
         options = [*options, "--urdf", str(tmp_path / "arm.urdf")]
-    assert cli.main(["log", str(bag), *options]) == 2
+    path = tmp_path / "map.toml"
+    assert cli.main(["log", str(bag), "--write-map", str(path), *options]) == 2
+    assert path.is_file() == (urdf is not None and options[0] != "--link")  # to be corrected
     error = capsys.readouterr().err.strip()
     assert re.search(words, error)
     assert "\n" not in error

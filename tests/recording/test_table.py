@@ -373,6 +373,26 @@ def test_ways_to_write_a_table(tmp_path, make, encoding):
     assert last.values.sum() == N
 
 
+@pytest.mark.parametrize(
+    "header",
+    ["time,0,1,2,3", "# arm 1\ntime,0,1,2,3", "# caf\x85\ntime,0,1,2,3", "% time 0 1 2 3"],
+)
+def test_headers_with_numbers_and_comments(tmp_path, header):
+    """Columns of a table without names are numbered, as by pandas."""
+    text = f"{header}\n0.0,1,2,3,4\n0.01,1,2,3,5\n"
+    text = text.replace(",", " ") if "%" in header else text
+    (tmp_path / "log.csv").write_bytes(text.encode("latin-1"))
+    (stream,) = read_log(tmp_path / "log.csv", LogMap((StreamMap("*", "taxels"),))).streams
+    np.testing.assert_array_equal(stream.values, [[1, 2, 3, 4], [1, 2, 3, 5]])
+
+
+def test_a_file_that_is_torn_in_its_first_row_has_no_samples(tmp_path):
+    (tmp_path / "log.csv").write_text("time,q_0,q_1\n0.0,1.0,2")
+    log, _ = read_and_suggest(tmp_path / "log.csv")
+    assert [len(stream) for stream in log.streams] == [0]
+    assert "its last line is left out" in log.notes[0]
+
+
 def test_runs_of_spaces_at_any_place_of_a_file():
     from meshskin.recording.readers.csv_file import _SingleSpaces
 
@@ -467,6 +487,18 @@ def test_lists_and_nested_fields_of_parquet(tmp_path, kind):
     (stream,) = read_log(path, LogMap((given,))).streams
     np.testing.assert_array_equal(stream.values, values)
     np.testing.assert_allclose(stream.times, 5 + np.arange(N) / 10)
+
+
+def test_lists_may_be_empty_in_the_rows_of_other_streams(tmp_path):
+    """More of them than are read at once."""
+    lists = [[1.0, 2.0, 3.0]] * 5000 + [None] * 9000
+    table = pa.table({"time": np.arange(14_000) / 100, "skin": lists})
+    pq.write_table(table, tmp_path / "log.parquet")
+    given = StreamMap("skin", "taxels", ("skin[[]?]",))
+    (stream,) = read_log(tmp_path / "log.parquet", LogMap((given,))).streams
+    np.testing.assert_array_equal(stream.values, [[1.0, 2.0, 3.0]] * 5000)
+    listed, _ = read_and_suggest(tmp_path / "log.parquet")
+    assert [len(one) for one in listed.streams] == [5000]
 
 
 def test_lists_of_different_lengths_are_refused(tmp_path):

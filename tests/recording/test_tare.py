@@ -5,7 +5,7 @@ import pytest
 
 from meshskin.core.arrays import runs
 from meshskin.core.errors import RecordingError
-from meshskin.recording.tare import segment, tare, thresholds
+from meshskin.recording.tare import _fill_rest, segment, tare, thresholds
 
 from .robot_log import RobotLog
 
@@ -28,6 +28,12 @@ def test_raw_counts_become_readings_that_rise_from_zero(sign, drift):
     assert error.std() == pytest.approx(np.hypot(log.noise, 1 / np.sqrt(12)), rel=0.05)
     assert found.noise == pytest.approx(np.hypot(log.noise, 1 / np.sqrt(12)), rel=0.2)
     assert found.drift.mean() == pytest.approx(0.8 * drift, abs=4)  # between middles of blocks
+
+
+def test_a_reading_between_two_at_rest_is_their_mean():
+    readings = np.array([[1.0, 1.0, 9.0], [np.nan] * 3, [3.0, 9.0, 3.0], [0.0] * 3])
+    _fill_rest(readings, np.isnan(readings), np.full(3, 5.0))
+    np.testing.assert_array_equal(readings[1], [2.0, np.nan, np.nan])
 
 
 def test_lost_readings_at_rest_are_at_rest():

@@ -7,11 +7,13 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+import trimesh
 
 import meshskin as ms
 from meshskin.core.se3 import exp_so3, transform
 from meshskin.geometry.region import Cap
 from meshskin.robot.dynamics import GRAVITY
+from meshskin.simulation import closed_loop_model
 from meshskin.simulation.closed_loop_model import ClosedLoopModel
 
 
@@ -64,10 +66,22 @@ def test_an_open_body_weighs_as_its_convex_hull_and_a_quasi_static_loop_asks_no_
     assert ClosedLoopModel.of(still).arm is scene.arm
 
 
+def test_moments_of_a_solid_are_those_of_trimesh():
+    """Of a cone, whose corners are not about its centre."""
+    cone = trimesh.creation.cone(0.05, 0.2, sections=16)
+    cone.apply_translation([0.1, -0.2, 0.3])
+    volume, centre, square = closed_loop_model._moments(np.asarray(cone.triangles))
+    assert volume == pytest.approx(cone.volume)
+    np.testing.assert_allclose(centre, cone.center_mass)
+    inertia = np.trace(square) * np.eye(3) - square
+    np.testing.assert_allclose(inertia, cone.moment_inertia, atol=1e-12)
+
+
 def test_the_loop_of_a_primitive_is_made_without_trimesh():
     """Its import takes 0.6 s."""
     code = """
 import sys, meshskin as ms
+from meshskin.simulation import closed_loop_model
 from meshskin.simulation.closed_loop_model import ClosedLoopModel
 scene = ms.Scene.load("sphere")
 assert ClosedLoopModel.of(scene).arm is not scene.arm

@@ -197,7 +197,9 @@ def _change(data: Measurements) -> tuple[int, int, int]:
 
     places = np.unique(np.linspace(1, m - 1, DIVISIONS).astype(int)).tolist()
     changes = [(p, *both) for both in sorted(ends) if both[0] != both[1] for p in places]
-    best = min(changes, key=lambda change: spread(*change), default=(0, 0, 0))
+    if not changes:
+        return 0, 0, 0
+    best = min(changes, key=lambda change: spread(*change))
     return best if spread(*best) < LATE_GAIN * spread(0, 0, 0) else (0, 0, 0)
 
 
@@ -208,12 +210,12 @@ def _moved_back(
     recorded at; without those recorded at the contacts (m,) bool that are `unclear`."""
     contacts = np.arange(len(data.points))
     row = contacts - frames
-    there = _in_time(data, contacts, row)
+    there = _in_time(data, contacts, row) & ~np.isin(contacts, data.unread)
     if unclear is not None:
         there &= ~unclear
     part, (at, taxel) = data.select(there[data.contact]), data.corrupt.T
     corrupt = np.stack([row[at], taxel], axis=1)[there[at]]
-    unread = np.union1d(data.unread, np.setdiff1d(contacts, row[there]))
+    unread = np.setdiff1d(contacts, row[there])
     return replace(part, contact=row[part.contact], corrupt=corrupt, unread=unread)
 
 

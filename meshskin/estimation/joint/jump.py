@@ -247,8 +247,8 @@ class DisplacedResiduals:
 
     def least(self, start: Array | None = None) -> Array:
         """The displacement (3,), m, with the least sum of Huber's costs, by Gauss-Newton steps with
-        Levenberg's damping from `start` (3,), m, by default zero; that along what readings hardly
-        show."""
+        Levenberg's damping from `start` (3,), m, by default zero; along directions that readings
+        hardly show it stays that of `start`."""
         x, damping = np.zeros(3) if start is None else start, DAMPING
         residuals, jacobian = self.at(x)
         value, vectors = np.linalg.eigh(jacobian.T @ jacobian)

@@ -168,7 +168,7 @@ def _last_round(
         except CalibrationError as error:
             if last is None or not last.at_rest:
                 raise
-            return last, rounds, str(error)
+            return last, max(rounds, 1), str(error)
     assert last is not None
     return last, rounds, ""
 

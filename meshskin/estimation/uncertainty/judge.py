@@ -209,7 +209,7 @@ def _frames(late: int) -> str:
 def _ahead(data: Measurements, calibration: Calibration) -> list[Finding]:
     """Patches ahead of the contacts: readings that are taken some part of a frame after them."""
     drag, sigma = calibration.unknowns.get("drag", (0.0, np.inf))
-    if drag > -AHEAD * sigma:
+    if not drag < -AHEAD * sigma:  # nor where a sigma is unknown
         return []
     step = float(np.median(np.linalg.norm(np.diff(data.points, axis=0), axis=1)))
     words = (

@@ -41,6 +41,11 @@ FAINT = 0.25
 anywhere."""
 EACH = 2
 """Strong readings, at least, before and after: one may be corrupt."""
+AT_ONE = 0.8
+"""Distance of the farther of both middles from the estimated position, in that between them, from
+which the taxel was put at one of them. Between two lanes that are as far apart as a patch is wide,
+it answers strongly in both and lies between them: at 0.7 at most under Hertz' pressure, for lanes
+1.2 radii of the patch apart and more."""
 
 
 def findings(data: Measurements, calibration: Calibration) -> list[Finding]:
@@ -78,7 +83,7 @@ class _Found:
 
     def __init__(self, data: Measurements, calibration: Calibration) -> None:
         far = second_places(data, calibration.positions)
-        exchanged, both, part = exchanged_taxels(data)
+        exchanged, both, part = exchanged_taxels(data, calibration.positions)
         self.taxels, self.time = far, ""
         self.of = int(np.isfinite(calibration.positions).all(axis=1).sum())
         self.confirmed = np.zeros(len(data.ids), dtype=bool)
@@ -89,10 +94,11 @@ class _Found:
         self.share = len(self.taxels) / max(self.of, 1)
 
 
-def exchanged_taxels(data: Measurements) -> tuple[np.ndarray, np.ndarray, float]:
+def exchanged_taxels(data: Measurements, positions: Array) -> tuple[np.ndarray, np.ndarray, float]:
     """Rows of the taxels that answer strongly at one place before a time and at another after it,
     rows of all that answer strongly before and after it, and the part of the contacts before the
-    time at which most do. A taxel's strong readings are divided where they then spread least."""
+    time at which most do. A taxel's strong readings are divided where they then spread least.
+    positions (n, 3), m: those estimated; NaN if there is none."""
     largest, n = np.zeros(len(data.ids)), len(data.ids)
     np.maximum.at(largest, data.taxel, data.pressure)
     largest[largest < FAINT * np.median(largest[data.counts > 0])] = np.inf
@@ -105,11 +111,10 @@ def exchanged_taxels(data: Measurements) -> tuple[np.ndarray, np.ndarray, float]
     if not (count >= MIN_READINGS).any():
         return np.empty(0, dtype=int), np.empty(0, dtype=int), 0.0
     usual, ends = np.median(square[count[count > 0] >= MIN_READINGS]) ** 0.5, np.cumsum(count)
-    reach = float(np.median(data.reach()))  # lanes far apart divide the readings of one place
     between = np.zeros((n, 2), dtype=int)
     for t in np.flatnonzero(count >= 2 * EACH):
         rows = slice(ends[t] - count[t], ends[t])
-        between[t] = _division(where[rows], contact[rows], usual, reach)
+        between[t] = _division(where[rows], contact[rows], usual, positions[t])
     last, first = between.T  # contact at one place, and at the other; of others both are 0
     at = max(last.tolist(), key=lambda at: int(np.sum((last <= at) & (first > at))))
     exchanged = np.flatnonzero((last <= at) & (first > at))
@@ -119,12 +124,12 @@ def exchanged_taxels(data: Measurements) -> tuple[np.ndarray, np.ndarray, float]
     return exchanged, np.flatnonzero(both), float(at + 1) / max(len(data.points), 1)
 
 
-def _division(where: Array, contact: np.ndarray, usual: float, least: float) -> tuple[int, int]:
+def _division(where: Array, contact: np.ndarray, usual: float, position: Array) -> tuple[int, int]:
     """The contacts before and after which readings at (q, 3), m, in the order of their contacts
-    (q,), are at two places; (0, 0) where they are not. usual: spread, m, at one place; least:
-    distance, m, of two places."""
-    k = np.arange(EACH, len(where) - EACH + 1)
-    off = where - where.mean(axis=0)
+    (q,), are at two places; (0, 0) where they are not. usual: spread, m, at one place; position
+    (3,), m: that of the taxel, NaN if unknown."""
+    k, middle = np.arange(EACH, len(where) - EACH + 1), where.mean(axis=0)
+    off = where - middle
     sums, squares = np.cumsum(off, axis=0), np.cumsum(np.sum(off**2, axis=1))
     number = np.stack([k, len(where) - k])
     means = np.stack([sums[k - 1], -sums[k - 1]]) / number[:, :, None]
@@ -132,7 +137,9 @@ def _division(where: Array, contact: np.ndarray, usual: float, least: float) -> 
     spread = square - np.sum(means**2, axis=2)
     best = int(np.argmin(np.sum(number * spread, axis=0)))
     apart = np.linalg.norm(means[0, best] - means[1, best])
-    if apart < max(DIVIDED * usual, least) or spread[:, best].max() > (GATHERED * usual) ** 2:
+    if apart < DIVIDED * usual or spread[:, best].max() > (GATHERED * usual) ** 2:
+        return 0, 0
+    if np.linalg.norm(means[:, best] - (position - middle), axis=1).max() < AT_ONE * apart:
         return 0, 0
     return int(contact[k[best] - 1]), int(contact[k[best]])
 

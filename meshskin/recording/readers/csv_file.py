@@ -101,7 +101,9 @@ class CsvFile:
             return
         if not whole:
             notes.append(f"{self.path.name} does not end with a line: its last line is left out")
-        yield held if whole or short else held.slice(0, len(held) - 1)
+        held = held if whole or short else held.slice(0, len(held) - 1)
+        if len(held):
+            yield held
 
     def _input(self) -> Any:
         """What is parsed: the path, or the content with single spaces."""
@@ -142,7 +144,8 @@ def _opened(path: Path, size: int, changed: int) -> CsvFile:
     with path.open("rb") as stream:
         head = stream.read(HEAD)
     encoding = _encoding(head)
-    lines = head.decode(encoding, errors="replace").splitlines() if encoding else []
+    text = head.decode(encoding, errors="replace") if encoding else ""
+    lines = re.split("\r\n|\r|\n", text)  # not splitlines(), which splits at Latin-1's x85, too
     before, names, delimiter = _header(lines)
     if len(names) < 2:
         raise _no_table(path, head)
@@ -209,14 +212,17 @@ def _header(lines: list[str]) -> tuple[int, list[str], str]:
     except csv.Error:
         return 0, [], ","
     names = [name.strip() for name in names]
-    if names and names[0].startswith("#"):
-        names[:1] = filter(None, [names[0].lstrip("# ")])
+    if names and (names[0].startswith("#") or names[0] == "%"):  # %time is a name
+        names[:1] = filter(None, [names[0].lstrip("#% ")])
     return at + 1, names, delimiter
 
 
 def _is_data(line: str) -> bool:
-    """Whether a line holds numbers more than words."""
+    """Whether a line holds more numbers than words and names no times: other columns of a header
+    may be numbered."""
     words = re.split(r"[\s,;]+", line.strip())
+    if any(map(is_time, words)):
+        return False
     numbers = sum(bool(re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?|nan", word)) for word in words)
     return 2 * numbers > len(words)
 

@@ -46,6 +46,9 @@ class ParquetFile:
         try:
             for batch in pq.ParquetFile(self.path).iter_batches(ROWS, columns=wanted):
                 found = self._flat(batch)
+                for name in columns:  # rows of other streams alone
+                    if batch.column(self.sources[name]).null_count == len(batch):
+                        found.setdefault(name, pa.nulls(len(batch), pa.float64()))
                 if missing := [name for name in columns if name not in found]:
                     raise RecordingError(
                         f"the lists of {self.sources[missing[0]]} in {self.path.name} have "

@@ -143,6 +143,7 @@ def test_a_delay_that_changes_in_the_course_of_a_recording(world, before, after)
     assert len(pairs[0] - pairs[1]) < 0.02 * len(pairs[1])
     assert len(pairs[1] - pairs[0]) < 0.03 * len(pairs[1])
     assert len(found.unread) >= abs(before)
+    assert not np.isin(found.contact, found.unread).any()
 
 
 def test_patches_that_are_dragged_along_are_not_late(world):

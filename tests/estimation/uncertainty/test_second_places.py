@@ -91,7 +91,9 @@ def test_the_level_is_that_of_the_share_of_taxels(wide):
     assert level == ("FAIL" if len(taxels) > 0.05 * len(wide.ids) else "DOUBT")
     assert f"{len(taxels)} of {len(wide.ids)} taxels" in words
     assert str(wide.ids[taxels[0]]) in words
-    taxels, both, _ = exchanged_taxels(few)  # of the few that answer in both halves
+    taxels, both, _ = exchanged_taxels(
+        few, sound.positions
+    )  # of the few that answer in both halves
     assert 0.05 * len(both) < len(taxels) <= 0.08 * len(wide.ids)
     level, words = findings(few, sound)[0]
     assert level == "FAIL"
@@ -115,18 +117,34 @@ def test_ids_of_a_module_that_are_off_by_one_from_midway():
     scene = base.with_(body=base.body, skin=skin)
     made = ms.press(scene, swept(skin, base.body, 1), force=3.0, seed=1)
     sound, belief = ms.Recording(made.contacts, made.readings, {}), scene.belief(noise_sigma=None)
-    assert [len(rows) for rows in exchanged_taxels(gather(sound, belief))[:2]] == [0, 0]
+    found = exchanged_taxels(gather(sound, belief), skin.positions)
+    assert [len(rows) for rows in found[:2]] == [0, 0]
     ids, late = sound.reading_taxel, sound.reading_contact >= 300
     wrong = np.where(late & (ids >= 10) & (ids < 20), 10 + (ids - 9) % 10, ids)
     log = changed(sound, taxel=wrong.astype(np.int32))
-    taxels, both, part = exchanged_taxels(gather(log, belief))
+    found = ms.calibrate(log, belief)
+    taxels, both, part = exchanged_taxels(gather(log, belief), found.positions)
     assert len(taxels) >= 2
     assert set(skin.ids[taxels]) <= set(range(10, 20))
     assert set(taxels) <= set(both)
     assert 0.35 < part < 0.65
-    found = ms.calibrate(log, belief)
     error = np.linalg.norm(found.positions - skin.positions, axis=1)
     assert np.nanmax(error) > 5e-3
     assert not np.any((error > 0.3e-3) & (error > 5 * found.position_sigma))
     assert found.verdict.level == "FAIL"
     assert any("at a second place" in why for why in found.verdict.reasons)
+
+
+def test_taxels_between_two_lanes_as_far_apart_as_a_patch_is_wide():
+    """They answer strongly in both lanes, one after the other, and lie between them: ids that are
+    in order came out as exchanged, and sigmas as wide as the body."""
+    base, lane = ms.Scene.load("sphere_noisy"), 6e-3
+    skin = ms.Skin.cover(base.body, spacing=6e-3, count=60, seed=1, region=Cap((0.0, 0.0, 1.0)))
+    scene = base.with_(body=base.body, skin=skin)
+    x, y = np.arange(-30e-3, 30e-3, lane), np.arange(-30e-3, 30e-3, 0.5e-3)
+    flat = [[u, v, 0.1] for k, u in enumerate(x) for v in (y if k % 2 else y[::-1])]
+    made = ms.press(scene, base.body.closest(np.array(flat)).point, force=3.0, seed=1)
+    data = gather(made, scene.belief())
+    taxels, _, _ = exchanged_taxels(data, np.full((60, 3), np.nan))
+    assert len(taxels) > 1  # as far as their readings alone tell
+    assert len(exchanged_taxels(data, skin.positions)[0]) == 0
