@@ -187,9 +187,10 @@ def few_readings(calibration: Calibration) -> list[Finding]:
         return []
     words = (
         f"the learned response rests on {median:g} readings per taxel, {MIN_READINGS} needed: with "
-        "so few its standard deviations can be too small; record more contacts, or believe a "
-        "contact model"
+        "so few its standard deviations can be too small; record more contacts"
     )
+    if calibration.belief is None or calibration.belief.readings != RAW:
+        words += ", or believe a contact model"
     return [(DOUBT, words)]
 
 
