@@ -38,6 +38,7 @@ from .joint_residuals import joint_residuals
 from .log_calibration import AT_REST, LogCalibration
 from .mesh_error import MeshError
 from .plausible import check_on_body
+from .pulled import widened
 from .steady import steady
 
 MAX_ROUNDS = 5
@@ -95,7 +96,7 @@ def calibrate_log(
     before = heights.residuals(as_believed)[0]
     after, factor = heights.residuals(x)[0], float(np.exp(x[-1]))
     by_joint = joint_residuals(kinematics, heights.path, heights.time, belief.body, after, x[:-1])
-    found = _with_clock(last.found, clock)
+    found = widened(_with_clock(last.found, clock), last.recording)
     moved = last.moved if last.moved > LINEAR else last.shift if last.shift > APART else 0.0
     result = LogCalibration(
         found, last.recording, kinematics, after, before, rounds, moved, factor, by_joint, failure

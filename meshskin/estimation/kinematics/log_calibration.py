@@ -17,6 +17,7 @@ from ...recording.recording import Recording
 from ...robot.contact_kinematics import ContactKinematics
 from ..calibration import Calibration
 from .joint_residuals import JointResidual
+from .pulled import contradicted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -154,6 +155,7 @@ class LogCalibration(Value, Card):
             for label, (value, _) in self.unknowns.items()
             if abs(value) > CONTRADICTED * sigma[label]
         ]
+        found += contradicted(self.calibration)
         if not found and (chance := self._chance(sigma)) < MIN_CHANCE:
             far = sorted(
                 self.unknowns, key=lambda label: -abs(self.unknowns[label][0]) / sigma[label]

@@ -21,6 +21,7 @@ import numpy as np
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ...core.progress import Stage
+from ...scene.belief import RAW, Belief
 from .. import chart
 from ..data.global_parameters import (
     DRIFTS,
@@ -91,14 +92,15 @@ def estimate(data: Measurements, stage: Stage | None = None) -> EstimatorResult:
             again = _attempt(*again, stage or Stage())
         return again
     except (SingularMatrixError, np.linalg.LinAlgError) as error:
-        raise _unconverged(f"its normal equations are singular: {error}") from error
+        raise _unconverged(f"its normal equations are singular: {error}", data.belief) from error
 
 
-def _unconverged(value: str) -> CalibrationError:
+def _unconverged(value: str, belief: Belief) -> CalibrationError:
     return CalibrationError(
         "the estimate with a learned response did not converge",
         value=value,
-        remedy="record more contacts with different forces, or believe a contact model",
+        remedy="record more contacts with different forces"
+        + ", or believe a contact model" * (belief.readings != RAW),
     )
 
 
@@ -140,10 +142,10 @@ def _attempt(
         effects = _restarted(effects, estimator)
         effects.converge()
     if (decrease := effects.system().newton_step()[2]) > MAX_DECREASE * len(effects.mu):
-        raise _unconverged(f"steps still decrease the cost by {decrease:.3g}")
+        raise _unconverged(f"steps still decrease the cost by {decrease:.3g}", data.belief)
     if wild := [name for name in ELECTRONICS if not plausible(effects, name)]:
         if excluded:
-            raise _unconverged(f"implausible {', '.join(wild)}")
+            raise _unconverged(f"implausible {', '.join(wild)}", data.belief)
         return recorded, tuple(wild)
     fault_detection.name_left_out(estimator.faults, recorded, stuck)
     found = learned_result(effects, estimator, rivals, reasons, clock)

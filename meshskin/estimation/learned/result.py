@@ -38,7 +38,7 @@ from ..result import (
     EstimatorResult,
     name_rivals,
 )
-from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
+from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit, remedy_of_learned
 from .contact_correlations import alike_errors, fewer_contacts, force_scatter
 from .estimated_response import learned_response
 from .lags import LAGS, MAX_LEVERAGE, contact_leverage, lags
@@ -265,6 +265,7 @@ def _fit(effects: RandomEffects) -> GoodnessOfFit:
         noise_known=known,
         outlying=int(np.sum(fault_detection.outliers(readings))),
         pairs=noise.pairs,
+        remedy=remedy_of_learned(effects.data.belief),
     )
     return replace(fit, noise=noise.scale * effects.deviations.noise * effects.data.sigma)
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import chdtr, chdtrc, fdtrc
 
 from ...core.arrays import Array
+from ...scene.belief import RAW, Belief
 
 SIGNIFICANCE = 1e-3
 """Probability below which the model is said not to fit: one false alarm in 1000 calibrations."""
@@ -26,6 +27,24 @@ REMEDY = (
     "(elliptic, layered)"
 )
 """Next steps where the model does not fit."""
+OF_CONTACTS = "body_offset", "indenter_offset"
+OF_ROBOT = "mount", "indenter_position", "indenter_radius", "mesh_scale"
+"""What may be unknown of where contacts are: recorded points, and those by joint angles."""
+
+
+def undeclared(belief: Belief) -> str:
+    """What may still be declared unknown of where the contacts are, in words; "" for nothing."""
+    motion = belief.contact_motion
+    by_joints = motion is not None and not motion.labels[0].startswith("body_offset")
+    known = {*belief.unknown, *(label.split()[0] for label in (motion.labels if motion else ()))}
+    names = [name for name in (OF_ROBOT if by_joints else OF_CONTACTS) if name not in known]
+    return f"declare {' or '.join(names)} unknown" if names else ""
+
+
+def remedy_of_learned(belief: Belief) -> str:
+    """Next steps where a learned response does not fit; raw readings have no contact model."""
+    other = "" if belief.readings == RAW else "believe a contact model (elliptic, layered)"
+    return ", or ".join(filter(None, (undeclared(belief), other))) or "see the other reasons"
 
 
 @dataclass(frozen=True)
@@ -70,19 +89,25 @@ def chance(chi2: float, freedom: float, pairs: int = 0) -> float:
 
 
 def goodness_of_fit(
-    chi2: float, freedom: float, noise_known: bool, outlying: int = 0, pairs: int = 0
+    chi2: float,
+    freedom: float,
+    noise_known: bool,
+    outlying: int = 0,
+    pairs: int = 0,
+    remedy: str = REMEDY,
 ) -> GoodnessOfFit:
     """The test of `chi2` with `freedom` degrees; `outlying` readings were left out of it.
 
     pairs: where the noise is not known, the number of independent pairs of neighbouring contacts
     that it was estimated from; the ratio of the two variances then has an F distribution.
+    remedy: next steps where the model does not fit.
     """
     left_out = f" ({outlying} outlying readings left out)" if outlying else ""
     if not noise_known and freedom > 0 and pairs >= MIN_PAIRS:
         p, ratio = chance(chi2, freedom, pairs), chi2 / freedom
         words = f"residuals are {ratio**0.5:.3g} times the scatter between neighbouring contacts"
         words = (
-            f"the model does not fit: {words}, p = {p:.2g}; {REMEDY}"
+            f"the model does not fit: {words}, p = {p:.2g}; {remedy}"
             if p < SIGNIFICANCE
             else f"the model fits: {words}, p = {p:.2g}"
         )
@@ -95,7 +120,7 @@ def goodness_of_fit(
     if p < SIGNIFICANCE:
         words = (
             f"the model does not fit: residuals are {ratio**0.5:.3g} times the noise, p = {p:.2g}; "
-            f"{REMEDY}, or state the true noise"
+            f"{remedy}, or state the true noise"
         )
     elif chdtr(freedom, chi2) < SIGNIFICANCE:
         words = f"the noise is overstated: residuals are {ratio**0.5:.3f} of it"

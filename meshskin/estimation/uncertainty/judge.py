@@ -28,7 +28,7 @@ from ..joint.departures import MIN_SCORE
 from ..learned.contact_correlations import MAX_CORRELATION
 from . import mounted_anew, recorded_normals, second_places, swapped_axes, verdict, weighted_means
 from .contact_errors import SURFACE_DEPTHS, displacement, motion, nearer_points
-from .goodness_of_fit import STRONG
+from .goodness_of_fit import STRONG, undeclared
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
 
 MAX_MISFIT = 0.05
@@ -278,9 +278,10 @@ def _surface(data: Measurements, points: Array) -> list[Finding]:
         f"contact points lie {1e3 * typical:.3g} mm {where} in the median, and on it best if moved "
         f"by ({', '.join(f'{-1e3 * x:.2g}' for x in move)}) mm{extra} (limit "
         f"{1e3 * SURFACE_DEPTHS[0] * depth:.2g} mm, a tenth of the indentation): check the body's "
-        "scale and frame, the indenter's position and its radius, or declare body_offset or "
-        "indenter_offset unknown"
+        "scale and frame, the indenter's position and its radius"
     )
+    if declare := undeclared(data.belief):
+        words += f", or {declare}"
     return [(level, words)]
 
 
@@ -332,11 +333,12 @@ def _contacts(data: Measurements, calibration: Calibration) -> list[Finding]:
         return []
     if response.contact_scatter < MIN_DISPLACEMENT * float(np.median(data.radii)):
         return []
+    declare = undeclared(data.belief)
     words = (
         f"contact points are {1e3 * response.contact_scatter:.2g} mm off, and neighbouring ones "
         f"alike (correlation {response.contact_correlation:.2f}, limit {MAX_CORRELATION:g}): this "
-        "is not scatter, but an error of the kinematic model or of the clocks; declare "
-        "indenter_offset or body_offset unknown, or correct the times; the standard deviations are "
+        "is not scatter, but an error of the kinematic model or of the clocks; "
+        f"{declare + ', or ' * bool(declare)}correct the times; the standard deviations are "
         "widened by what so many contacts alike are worth"
     )
     return [(DOUBT, words)]

@@ -185,11 +185,11 @@ def few_readings(calibration: Calibration) -> list[Finding]:
     median = float(np.median(calibration.readings[found]))
     if median >= MIN_READINGS:
         return []
+    raw = calibration.belief is not None and calibration.belief.readings == RAW
     words = (
         f"the learned response rests on {median:g} readings per taxel, {MIN_READINGS} needed: with "
-        "so few its standard deviations can be too small; record more contacts, or believe a "
-        "contact model"
-    )
+        "so few its standard deviations can be too small; record more contacts"
+    ) + ", or believe a contact model" * (not raw)
     return [(DOUBT, words)]
 
 

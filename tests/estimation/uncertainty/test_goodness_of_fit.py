@@ -1,9 +1,12 @@
 """The test of fit: leverages against the dense hat matrix, and a statistic with the mean of one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+import meshskin as ms
 from meshskin.estimation import chart
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.data.gather import gather
@@ -14,7 +17,12 @@ from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.joint.pressure import CENSORED, censored
 from meshskin.estimation.joint.readings import select
 from meshskin.estimation.joint.variable_projection import ReducedProblem
-from meshskin.estimation.uncertainty.goodness_of_fit import goodness_of_fit
+from meshskin.estimation.uncertainty.goodness_of_fit import (
+    goodness_of_fit,
+    remedy_of_learned,
+    undeclared,
+)
+from meshskin.scene.contact_motion import ContactMotion
 
 STEP = 1e-6
 
@@ -133,3 +141,28 @@ def test_the_model_is_rejected_once_in_a_thousand():
     assert goodness_of_fit(1e3, 500, noise_known=False).good is None
     assert goodness_of_fit(500.0, 500, noise_known=False, pairs=400).pairs == 400
     assert goodness_of_fit(0.0, 0.0, noise_known=True).words == "not tested: too few readings"
+
+
+def test_remedies_are_those_that_the_belief_can_take():
+    """Raw readings have no contact model; what is declared need not be declared again."""
+    known = ms.Scene.load("sphere").belief(contact="learned")
+    raw = replace(known, readings="raw", noise_sigma=None, threshold=0.0)
+    assert undeclared(known) == "declare body_offset or indenter_offset unknown"
+    assert undeclared(replace(known, unknown=("body_offset",))) == "declare indenter_offset unknown"
+    assert "elliptic" in remedy_of_learned(known)
+    assert remedy_of_learned(raw) == undeclared(raw) == undeclared(known)
+
+    def moved(*labels):
+        sigma = np.ones(len(labels))
+        return replace(
+            raw, contact_motion=ContactMotion(labels, sigma, np.zeros((2, 3, len(sigma))))
+        )
+
+    assert undeclared(moved("body_offset x", "body_offset y")) == "declare indenter_offset unknown"
+    usual = "joint_offset a", "indenter_position x", "clock_offset"
+    assert remedy_of_learned(moved(*usual)) == (
+        "declare mount or indenter_radius or mesh_scale unknown"
+    )
+    every = moved(*usual, "mount x", "indenter_radius", "mesh_scale")
+    assert undeclared(every) == ""
+    assert remedy_of_learned(every) == "see the other reasons"

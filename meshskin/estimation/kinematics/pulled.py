@@ -1,0 +1,83 @@
+"""Unknowns of the robot that the readings move further than what was known before them allows.
+
+    d = s - s0,    |d_k| > FARTHEST sqrt(C_kk) of any unknown k
+
+s0 (K,) and C (K, K) are the unknowns by the heights of the contacts and by what was believed of
+them. The readings may move the contacts along the body, as errors of forces and of the skin's
+response that are alike over it look like such a motion. Where d is farther than chance explains, no
+data tell which of the two is right: d is an error of the unknowns, and displaces all taxels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.arrays import Array, means_by_group
+from ...recording.recording import Recording
+from ...scene.contact_motion import ContactMotion
+from ..calibration import Calibration
+from ..trilateration.displacements import surface_motion
+from ..uncertainty.observability import shape_operators
+
+FARTHEST = 3.5
+"""Standard deviations before the readings beyond which they contradict what was known: one of 20
+sound unknowns is with a probability of 1 %."""
+
+
+def pulls(calibration: Calibration) -> tuple[Array, Array]:
+    """Displacements d (K,) of a contact motion's unknowns by the readings, and their standard
+    deviations (K,) before these."""
+    motion = _motion(calibration)
+    found = np.array([calibration.unknowns[label][0] for label in motion.labels])
+    return found - motion.mean, np.linalg.norm(motion.root, axis=1)
+
+
+def contradicted(calibration: Calibration) -> tuple[str, ...]:
+    """The unknowns that the readings move too far, in words."""
+    return tuple(
+        f"the readings move {label} by {d:.3g}, {abs(d) / sigma:.2g} times the standard deviation "
+        f"of {sigma:.3g} that the heights of the contacts and the belief leave to it (limit "
+        f"{FARTHEST:g}): the displacement of the taxels by it is in their standard deviations; "
+        "record forces, or more contacts in other postures"
+        for label, d, sigma in zip(_motion(calibration).labels, *pulls(calibration), strict=True)
+        if abs(d) > FARTHEST * sigma
+    )
+
+
+def widened(calibration: Calibration, recording: Recording) -> Calibration:
+    """The calibration of a recording with the outer products of d, and of the displacements of the
+    taxels by d, added to the variances, where an unknown is contradicted; else as it is.
+
+    A taxel is displaced as its contacts are in the mean, weighted by its readings.
+    """
+    d, before = pulls(calibration)
+    if not (np.abs(d) > FARTHEST * before).any():
+        return calibration
+    motion, row = _motion(calibration), {taxel: k for k, taxel in enumerate(calibration.ids)}
+    own = np.array([row.get(taxel, -1) for taxel in recording.reading_taxel])
+    use = (own >= 0) & (recording.pressure > 0)
+    moved = (motion.slopes @ d)[recording.reading_contact[use]]
+    displaced = means_by_group(moved, own[use], len(row), recording.pressure[use])
+    displaced[np.isnan(displaced[:, 0])] = moved.mean(axis=0)  # a taxel placed by its module alone
+    found = np.isfinite(calibration.positions).all(axis=1)
+    rotations = calibration.poses[found, :3, :3]
+    assert calibration.belief is not None
+    shape = shape_operators(calibration.belief.body, calibration.positions[found], rotations)
+    along = np.einsum("nij,ni->nj", rotations[:, :, :2], displaced[found])
+    pose = np.einsum("nij,nj->ni", surface_motion(shape), along)
+    covariances = calibration.covariances.copy()
+    covariances[found] += pose[:, :, None] * pose[:, None, :]
+    unknowns = dict(calibration.unknowns)
+    for label, pull in zip(motion.labels, d, strict=True):
+        value, sigma = unknowns[label]
+        unknowns[label] = value, float(np.hypot(sigma, pull))
+    return replace(calibration, covariances=covariances, unknowns=unknowns)
+
+
+def _motion(calibration: Calibration) -> ContactMotion:
+    """The contact motion of the calibration's belief."""
+    assert calibration.belief is not None
+    assert calibration.belief.contact_motion is not None
+    return calibration.belief.contact_motion
