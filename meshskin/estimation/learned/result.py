@@ -27,6 +27,7 @@ from ..joint.pressure import CENSORED, OBSERVED
 from ..joint.residual_correlations import larger, shared_errors
 from ..joint.rival_optima import RivalOptima
 from ..joint.second_fits import second_fits
+from ..joint.shifted_patches import SHIFTED, shifted_patches
 from ..joint.small_effects import SmallEffects
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
@@ -175,6 +176,9 @@ def _tangential(
         tangential = tangential + late.covariances
         factors += [HELD_LAGS] if late.score > NAMED else []
         departures[HELD_LAGS] = late.score
+        shifted = shifted_patches(fitted)
+        tangential = tangential + shifted.covariances
+        factors += [SHIFTED] if shifted.score > NAMED else []
     tangential *= _few_readings(effects)[:, None, None]
     rejected = rejected_readings.displacements(fitted, effects.spread**-2.0, effects.spread)
     both = np.stack([rejected, displacements(_whole(effects), 1.0)])
