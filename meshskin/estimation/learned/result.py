@@ -172,11 +172,12 @@ def _tangential(
         factors.append(ALIKE_CONTACTS)
     departures = {**errors.beyond(added, own), **fields.departure}
     if fit.good is not False:
-        late = held_lags(fitted, effects.data.parameters.value("drag", effects.unknowns.s))
+        value = partial(effects.data.parameters.value, s=effects.unknowns.s)
+        late = held_lags(fitted, value("drag"))
         tangential = tangential + late.covariances
         factors += [HELD_LAGS] if late.score > NAMED else []
         departures[HELD_LAGS] = late.score
-        shifted = shifted_patches(fitted)
+        shifted = shifted_patches(fitted, value("patch_shift"))
         tangential = tangential + shifted.covariances
         factors += [SHIFTED] if shifted.score > NAMED else []
     tangential *= _few_readings(effects)[:, None, None]
