@@ -85,7 +85,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     known.add_argument(
         "--unknown", nargs="*", metavar="NAME", help="parameters estimated with the taxels: "
         "modulus (default), gain, offset, force_scale, force_offset, indenter_offset, body_offset, "
-        "drag, friction",
+        "drag, friction, patch_shift",
     )  # fmt: skip
     known.add_argument(
         "--response-groups", nargs="+", metavar="IDS", help="taxels of each further skin or "

@@ -72,9 +72,11 @@ class Belief(Value, NamedFields):
     unknown: tuple[str, ...] = ("modulus",)
     """What is estimated besides the taxels: any of "modulus" (E*), "gain", "offset" and "drift" of
     the offset (of each taxel), "force_scale", "force_offset", "indenter_offset" (3), "body_offset"
-    (6), "drag", the distance of the patches behind the moving contacts, as of late readings, and
-    "friction", the shear of the skin at which contacts that stick begin to slide. Gain and offset
-    are tried undeclared, too, for taxels that do not fit without them."""
+    (6), "drag", the distance of the patches behind the moving contacts, as of late readings,
+    "friction", the shear of the skin at which contacts that stick begin to slide, and
+    "patch_shift", the displacement of the patches where the curvature of the body changes, relative
+    to that of a foundation of springs. Gain and offset are tried undeclared, too, for taxels that
+    do not fit without them."""
     priors: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations of unknowns before any data, where they are not the defaults."""
     surface_sigma: float = quantity("m", 0.0, least=0.0)

@@ -36,6 +36,9 @@ PARAMETERS: dict[str, tuple[int, float, str]] = {
     "body_offset": (6, 5e-3, "body offset 0 +- {:.3g} m"),
     "drag": (1, 1e-3, "patches 0 +- {:.3g} m behind the moving contacts"),
     "friction": (1, 1e-3, "contacts slide from a shear of the skin of 0 +- {:.3g} m on"),
+    "patch_shift": (
+        1, 1.0, "patches displaced 0 +- {:.3g} times as a foundation of springs has them",
+    ),
     "scale": (1, 0.5, "readings within a factor {:.3g} of the nominal pressures (1 sigma)"),
     "exponents": (3, 0.1, "exponents of the patch in the load within {:.3g} of the model's"),
     "aspect": (1, 0.3, "ratio of the semi-axes, as an exponent of the model's, within {:.3g} of 1"),
@@ -68,7 +71,7 @@ PRIORS = {name: sigma for name, (_, sigma, _) in PARAMETERS.items()}
 """Default standard deviations of the priors."""
 MOTION = "contact_motion"
 """Global parameter of as many entries as the belief's contact motion has."""
-MOVES = ("indenter_offset", "body_offset", "drag", "friction", MOTION)
+MOVES = ("indenter_offset", "body_offset", "drag", "friction", "patch_shift", MOTION)
 """Global parameters that move the recorded contacts, not the readings of a contact in its place."""
 NUISANCE = ("gain", "offset", "drift", "skew")
 """Parameters of each taxel beside its position."""
@@ -105,7 +108,7 @@ UNITS = (
     | dict.fromkeys(
         ("exponents", "aspect", "compression", "force_scatter", "hysteresis", "crosstalk"), ""
     )
-    | dict.fromkeys(("profile", "creep", *DRIFTS), "")
+    | dict.fromkeys(("profile", "creep", "patch_shift", *DRIFTS), "")
 )
 """Units of global parameters that are neither lengths nor angles nor logarithms."""
 

@@ -16,7 +16,7 @@ from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
 from ...scene.belief import Belief
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
-from .patch_shape import alike_contacts, over_patches, typical_radius, unevenness
+from .patch_shape import alike_contacts, over_patches, patch_shifts, typical_radius, unevenness
 from .resolve_belief import in_range, nominal_patches
 
 if TYPE_CHECKING:
@@ -243,9 +243,8 @@ class Measurements:
     def at_contacts(self, hit: Closest) -> Measurements:
         """These measurements with the contacts at the points `hit` (m) of the body.
 
-        Contacts that come to where the contact model does not hold, as at a crease or a hollow of a
-        mesh, keep the curvatures that they have: those where they are, not those of a trial, are
-        known to be in its range.
+        Where the contact model does not hold there, as at a crease or a hollow of a mesh, they keep
+        the curvatures that they have, which are known to be in its range.
         """
         if self.learned:
             hit = over_patches(self.belief, hit, self.force)
@@ -276,10 +275,19 @@ class Measurements:
     def uneven(self) -> Array:
         """Pressures (m,), in units of sigma, by which those of a contact may differ from the
         model's, for no quadric describes the body within its patch."""
-        hit = self.body.closest(self.points)
-        hit = replace(hit, curvature=self.curvature, direction=self.directions)
         radius = typical_radius(self.belief, self.force)
-        return unevenness(self.belief, hit, radius) * self.peaks / self.sigma
+        return unevenness(self.belief, self._hit, radius) * self.peaks / self.sigma
+
+    @cached_property
+    def patch_shifts(self) -> Array:
+        """`patch_shape.patch_shifts` (m, 3), m, of the contacts."""
+        return patch_shifts(self.belief, self._hit, self.radii)
+
+    @cached_property
+    def _hit(self) -> Closest:
+        """The contact points on the body, with the curvatures over the patches."""
+        hit = self.body.closest(self.points)
+        return replace(hit, curvature=self.curvature, direction=self.directions)
 
     @property
     def edges(self) -> int:
@@ -303,8 +311,7 @@ class Measurements:
 
     @cached_property
     def precision(self) -> Array:
-        """Precisions (m,) of a contact's readings among all, relative to that of the noise: 1, and
-        less where no quadric describes the body within the patch."""
+        """Precisions (m,) of a contact's readings, relative to the noise's: less over edges."""
         return np.asarray(1 / (1 + self.alike * self.edge_variance))
 
     @property
@@ -340,5 +347,4 @@ class Measurements:
     def slope(self) -> Array:
         """|dp/dr| (k,), Pa/m, at that distance; 0 at the patch's centre and at its edge."""
         a = self.radii[self.contact]
-        slope = disc_slope(self.distance / a, self.disc / a)
-        return np.abs(slope) * self.peaks[self.contact] / a
+        return np.abs(disc_slope(self.distance / a, self.disc / a)) * self.peaks[self.contact] / a

@@ -53,6 +53,18 @@ QUADRIC = np.linalg.pinv(
     )
 )
 """Matrix (6, k) from the heights at PLACES to the terms of the quadric nearest to them."""
+OVER_PATCH = np.concatenate(
+    [
+        1.3 * np.sqrt((ring + 0.5) / 6) * np.column_stack([np.cos(angle), np.sin(angle)])
+        for ring in range(6)
+        for angle in [2 * np.pi * (np.arange(12) + ring % 2 / 2) / 12]
+    ]
+)
+"""Places (72, 2) of equal areas over a patch and beyond its rim, relative to its radius."""
+SPRINGS = 2**0.5
+"""Radius of the patch of a foundation of springs, in that of Hertz' of the same depth."""
+WIDEST = 0.7
+"""Radius of such a patch, in that of the indenter, at most."""
 EDGE = 0.05
 """Unevenness from which contacts are over an edge. Smooth bodies have less where their curvature
 jumps (0.044 where the caps of bodies/capsule.toml begin) or changes (0.002 on its torus); and the
@@ -98,6 +110,31 @@ def unevenness(belief: Belief, hit: Closest, radius: Array | float) -> Array:
     apart = _heights(belief.body, hit, basis, rim) - quadric
     found = np.sqrt(np.mean(apart**2, axis=1)) * belief.indenter.radius / size**2
     return np.where(found > SMOOTH, found, 0.0)
+
+
+def patch_shifts(belief: Belief, hit: Closest, radius: Array) -> Array:
+    """Displacements (m, 3), m, of the centres of pressure along the surface from the contact points
+    `hit`: those of a foundation of springs under the indenter's ball, in patches SPRINGS times as
+    wide as `radius` (m,), m; 0 where the body is smooth.
+    """
+    out, ball = np.zeros((len(hit.point), 3)), belief.indenter.radius
+    rows = np.flatnonzero(unevenness(belief, hit, radius))
+    if not len(rows):
+        return out
+    hit, size = hit.take(rows), np.minimum(SPRINGS * radius[rows], WIDEST * ball)
+    basis = np.stack([hit.direction, np.cross(hit.normal, hit.direction), hit.normal], axis=2)
+    places = size[:, None, None] * OVER_PATCH
+    depth = size**2 / 2 * (1 / ball + hit.curvature.mean(axis=1))
+    under = ball - np.sqrt(ball**2 - np.sum(places**2, axis=2)) - depth[:, None]
+    local = np.concatenate([places, under[:, :, None]], axis=2) @ np.swapaxes(basis, 1, 2)
+    face = np.repeat(hit.face, len(OVER_PATCH))
+    skin = belief.body.closest((hit.point[:, None] + local).reshape(-1, 3), face)
+    pressure = np.maximum(-skin.distance, 0.0).reshape(len(rows), -1)
+    apart = skin.point.reshape(local.shape) - hit.point[:, None]
+    total = np.maximum(pressure.sum(axis=1, keepdims=True), 1e-300)
+    middle = np.einsum("mp,mpc->mc", pressure, apart) / total
+    out[rows] = middle - np.sum(middle * hit.normal, axis=1, keepdims=True) * hit.normal
+    return out
 
 
 def over_edges(belief: Belief, hit: Closest, force: Array, learned: float | None = None) -> Array:

@@ -306,6 +306,9 @@ class LinearizedContacts:
         if "friction" in at:
             shear, by_limit = self._shears(self.parameters.value("friction", s))
             centre, slope[:, :, at["friction"].start] = centre - grown * shear, -grown * by_limit
+        if "patch_shift" in at:
+            slope[:, :, at["patch_shift"].start] = along = grown * self.recorded.patch_shifts
+            centre = centre + s[at["patch_shift"]] * along
         if self.parameters.motion is not None:
             motion = self.parameters.motion
             centre = centre + motion.displacements(s[at[MOTION]])

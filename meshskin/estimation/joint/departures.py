@@ -1,5 +1,5 @@
 """What the readings show beyond a contact model: errors of the contacts, an offset of the indenter,
-drag, friction, hysteresis, creep, crosstalk, and drifts of one taxel or of all.
+drag, friction, hysteresis, creep, crosstalk, drifts, and patches that fillets displace.
 
 Each but the first is tested by its score, the derivative of the log-likelihood in its parameter
 at zero, relative to its standard deviation there. Where contacts have errors of their own, all
@@ -114,7 +114,8 @@ class FittedReadings:
         electronics, data = Electronics(self.data, self.readings, self.points), self.data
         drifts = data.drifts[self.readings.contact]
         yield "crosstalk", (electronics.neighbours @ pressure)[:, None], np.zeros(1)
-        yield "drag", self.moved(data.headway[:, :, None]), np.zeros(1)
+        for name, along in (("drag", data.headway), ("patch_shift", data.patch_shifts)):
+            yield name, self.moved(along[:, :, None]), np.zeros(1)
         yield "gain_drift", drifts * pressure[:, None], np.zeros(DRIFT_SIZE)
         yield "offset_drift", drifts * electronics.peak, np.zeros(DRIFT_SIZE)
         if self.system is not None:
@@ -128,8 +129,7 @@ class FittedReadings:
         for time, rise in zip(TIMES, self.creeps(electronics).T, strict=True):
             yield "creep", rise[:, None], np.array([SHARE, np.log(time), 0.0])
         if data.headings is not None:
-            # the closest point of a centre at height r moves by 1 / (1 + r k) of its motion; one
-            # along a contact's normal does not move it
+            # the closest point moves by 1 / (1 + r k) of a motion of the centre along the surface
             shrunk = 1 / (1 + data.belief.indenter.radius * data.curvature.mean(axis=1))
             moved = self.moved(np.swapaxes(data.headings, 1, 2) * shrunk[:, None, None])
             for column in moved.T:

@@ -58,7 +58,7 @@ def held_lags(fitted: FittedReadings, drag: float = 0.0) -> SmallEffects:
     unit = float(np.median(steps)) / 12**0.5 if len(steps) else 0.0
     if not unit > 0 or "skew" in data.parameters.nuisance_names:  # each taxel's is estimated
         return SmallEffects.none(n)
-    late, alone = unit * fitted.moved(data.headway[:, :, None]), _of_single_taxels(fitted)
+    late, alone = unit * fitted.moved(data.headway[:, :, None]), of_single_taxels(fitted)
     variances = np.array([drag**2 / PRIOR[0] / unit**2]) if drag else SPREADS**2
     order, places = np.argsort(np.argsort(data.ids[fitted.readings.live])), fitted.points
     of_ids, by_place = (order[:, None] + 0.5) / n, places - places.mean(axis=0)
@@ -89,7 +89,7 @@ def contact_leverages(fitted: FittedReadings) -> Array:
     return np.asarray(fitted.curvature * np.einsum("ka,kab,kb->k", jacobian, inverse, jacobian))
 
 
-def _of_single_taxels(fitted: FittedReadings) -> FittedReadings:
+def of_single_taxels(fitted: FittedReadings) -> FittedReadings:
     """The readings of each taxel as if the others were known, at the optimum: what is not known of
     the errors of its contacts is noise of its readings."""
     if (system := fitted.system) is None:

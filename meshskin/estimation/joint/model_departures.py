@@ -19,6 +19,7 @@ from .leaks import crosstalk_score
 from .parametrization import SurfaceParametrization
 from .residual_correlations import SharedErrors, larger, shared_errors
 from .second_fits import SecondFits, second_fits
+from .shifted_patches import SHIFTED, shifted_patches
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,12 @@ class ModelDepartures:
         by_errors, by_fields = self.errors.covariances(self.fitted), self.fields.covariances
         words = [SHARED_ERRORS.format(self.errors.where)] if by_errors.any() else []
         words += [ALIKE_CONTACTS] if by_fields.any() else []
-        lags = held_lags(self.fitted)
-        words += [HELD_LAGS] if lags.score > NAMED else []
-        return larger(by_errors, by_fields) + lags.covariances, words
+        added = larger(by_errors, by_fields)
+        for name, effects in ((HELD_LAGS, held_lags), (SHIFTED, shifted_patches)):
+            held = effects(self.fitted)
+            words += [name] if held.score > NAMED else []
+            added = added + held.covariances
+        return added, words
 
     def rejected(self, estimator: JointEstimator, noise: float) -> Array:
         """What readings that were left out, and gains that change, add to the tangential

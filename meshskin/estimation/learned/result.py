@@ -27,6 +27,7 @@ from ..joint.pressure import CENSORED, OBSERVED
 from ..joint.residual_correlations import larger, shared_errors
 from ..joint.rival_optima import RivalOptima
 from ..joint.second_fits import second_fits
+from ..joint.shifted_patches import SHIFTED, shifted_patches
 from ..joint.small_effects import SmallEffects
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
@@ -171,10 +172,14 @@ def _tangential(
         factors.append(ALIKE_CONTACTS)
     departures = {**errors.beyond(added, own), **fields.departure}
     if fit.good is not False:
-        late = held_lags(fitted, effects.data.parameters.value("drag", effects.unknowns.s))
+        value = partial(effects.data.parameters.value, s=effects.unknowns.s)
+        late = held_lags(fitted, value("drag"))
         tangential = tangential + late.covariances
         factors += [HELD_LAGS] if late.score > NAMED else []
         departures[HELD_LAGS] = late.score
+        shifted = shifted_patches(fitted, value("patch_shift"))
+        tangential = tangential + shifted.covariances
+        factors += [SHIFTED] if shifted.score > NAMED else []
     tangential *= _few_readings(effects)[:, None, None]
     rejected = rejected_readings.displacements(fitted, effects.spread**-2.0, effects.spread)
     both = np.stack([rejected, displacements(_whole(effects), 1.0)])

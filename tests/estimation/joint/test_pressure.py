@@ -18,7 +18,7 @@ from meshskin.estimation.joint.readings import Readings
 
 EVERY = (
     *("modulus", "gain", "offset", "force_scale", "force_offset", "indenter_offset"),
-    *("drag", "friction"),
+    *("drag", "friction", "patch_shift"),
 )
 
 
