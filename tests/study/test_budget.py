@@ -113,7 +113,8 @@ def test_more_is_added_if_the_check_contradicts_the_estimate(scene, report, monk
 def test_the_report_prints_as_a_table(report):
     lines = str(report).splitlines()
     assert lines[0].split()[:3] == ["effect", "mm", "seconds"]
-    assert len(lines) == 1 + len(report.entries) + len(report.summary())
+    rest = 2  # what is no entry, and the measured total
+    assert len(lines) == 1 + len(report.entries) + rest + len(report.summary())
     assert any(line.startswith("body pose") and " on " in line for line in lines)
     metrics = report.metrics()
     assert metrics["budget_mm"] == pytest.approx(0.2)
@@ -125,7 +126,7 @@ def test_the_budget_is_a_section_of_the_report_of_a_run(report):
     data = SimpleNamespace(metrics={"budget": report.metrics()})
     ((text, table),) = sections.budget(data).values()
     assert text == paragraphs(*report.summary())
-    assert table.count("<tr>") == 1 + len(report.entries)
+    assert table.count("<tr>") == 1 + len(report.entries) + 2  # the rest, and the total
     assert sections.budget(SimpleNamespace(metrics={})) == {}
 
 

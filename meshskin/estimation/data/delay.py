@@ -185,7 +185,7 @@ def _change(data: Measurements) -> tuple[int, int, int]:
     m, k = len(data.points), data.contact
     level = np.maximum(data.pressure - data.rest[data.taxel], 0.0)
     ends = {
-        tuple(late_frames(data.select(rows)) for rows in (k < end * m, k >= (1 - end) * m))
+        (end, *(late_frames(data.select(rows)) for rows in (k < end * m, k >= (1 - end) * m)))
         for end in ENDS
     }
 
@@ -195,8 +195,13 @@ def _change(data: Measurements) -> tuple[int, int, int]:
         at = data.points[row[there]]
         return float(np.mean(spreads_by_group(at, data.taxel[there], level[there] ** 2)))
 
-    places = np.unique(np.linspace(1, m - 1, DIVISIONS).astype(int)).tolist()
-    changes = [(p, *both) for both in sorted(ends) if both[0] != both[1] for p in places]
+    places = np.unique(np.linspace(1, m - 1, DIVISIONS).astype(int))
+    changes = [  # not within an end, of which the delay was found as a whole
+        (p, *both)
+        for end, *both in sorted(ends)
+        if both[0] != both[1]
+        for p in places[np.abs(places / m - 0.5) <= 0.5 - end].tolist()
+    ]
     if not changes:
         return 0, 0, 0
     best = min(changes, key=lambda change: spread(*change))
