@@ -192,6 +192,8 @@ def _change(data: Measurements) -> tuple[int, int, int]:
     def spread(place: int, before: int, after: int) -> float:
         row = k - np.where(k < place, before, after)
         there = _in_time(data, k, row)
+        if min(np.mean(there[k < place]), np.mean(there[k >= place])) < MIN_USED:
+            return np.inf
         at = data.points[row[there]]
         return float(np.mean(spreads_by_group(at, data.taxel[there], level[there] ** 2)))
 
@@ -199,7 +201,7 @@ def _change(data: Measurements) -> tuple[int, int, int]:
     changes = [  # not within an end, of which the delay was found as a whole
         (p, *both)
         for end, *both in sorted(ends)
-        if both[0] != both[1]
+        if both[0] != both[1] and max(map(abs, both)) <= LATE_FRAMES
         for p in places[np.abs(places / m - 0.5) <= 0.5 - end].tolist()
     ]
     if not changes:
