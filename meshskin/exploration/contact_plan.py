@@ -24,9 +24,8 @@ from ..robot import collision, posture
 from ..robot.contact_rig import ContactRig
 from ..robot.turntable import with_swivel
 from ..scene.scene import Scene
-from .chains import evenly
 from .lane_plan import STEP, posture_reasons, reachable_nodes, region_radius
-from .lanes import cover
+from .lanes import cover, evenly
 from .left_out import (
     NOT_COVERED,
     SPARSE,
