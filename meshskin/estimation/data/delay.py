@@ -192,7 +192,9 @@ def _change(data: Measurements) -> tuple[int, int, int]:
     def spread(place: int, before: int, after: int) -> float:
         row = k - np.where(k < place, before, after)
         there = _in_time(data, k, row)
-        if min(np.mean(there[k < place]), np.mean(there[k >= place])) < MIN_USED:
+        if any(
+            side.sum() <= MIN_USED * len(side) for side in (there[k < place], there[k >= place])
+        ):
             return np.inf
         at = data.points[row[there]]
         return float(np.mean(spreads_by_group(at, data.taxel[there], level[there] ** 2)))
