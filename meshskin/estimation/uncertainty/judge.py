@@ -45,7 +45,7 @@ values of elastomers by Shore hardness are within a factor of 2; pressures 2 and
 E* by factors of 2.7 and 17, since the patch, too, has to fit."""
 MAX_FAULTY = 0.2
 """Fraction of faulty taxels from which the log is in doubt, not the taxels."""
-AHEAD = 3.0
+MIN_AHEAD = 3.0
 """Standard deviations from which patches are ahead of the contacts, which no friction explains."""
 NAMED = 4
 """Departures that a reason names, the strongest; a strong one raises the scores of similar ones."""
@@ -209,12 +209,12 @@ def _frames(late: int) -> str:
 def _ahead(data: Measurements, calibration: Calibration) -> list[Finding]:
     """Patches ahead of the contacts: readings that are taken some part of a frame after them."""
     drag, sigma = calibration.unknowns.get("drag", (0.0, np.inf))
-    if not drag < -AHEAD * sigma:  # nor where a sigma is unknown
+    if not drag < -MIN_AHEAD * sigma:  # nor where a sigma is unknown
         return []
     step = float(np.median(np.linalg.norm(np.diff(data.points, axis=0), axis=1)))
     words = (
         f"the patches are {-1e3 * drag:.2g} mm ahead of the contacts ({-drag / sigma:.2g} standard "
-        f"deviations, limit {AHEAD:g}): readings are taken {-drag / step:.2g} frames after the "
+        f"deviations, limit {MIN_AHEAD:g}): readings are taken {-drag / step:.2g} frames after the "
         "times of their contacts; taxels that are crossed in one direction do not show whether "
         "that holds for all: correct the times of the readings, or cross each taxel in several "
         "directions"
