@@ -38,6 +38,10 @@ WIDTH = 1.6
 """Width of the view in its height, at least."""
 FRAME_LENGTH = 0.4
 """Length of the axes of drawn frames, relative to the distance between taxels."""
+LIGHT = {"x": 0.6, "y": -1.2, "z": 1.0003}
+"""Light from behind the viewer's left shoulder. plotly takes the position in clip coordinates (its
+camera sees from 0.01 to 1,000 of the size of the axes): beyond infinity, at 1.00002, is behind the
+viewer, where right and up are reversed."""
 _COLOURS = (("x", "#d62728"), ("y", "#2ca02c"), ("z", "#1f77b4"))
 _MAX_FRAMES = 400
 """Most taxels with a frame and an ellipsoid; of larger skins every k-th has them."""
@@ -54,7 +58,7 @@ def _xyz(points: Array) -> dict[str, Any]:
 
 def _mesh(vertices: Array, faces: ArrayLike) -> dict[str, Any]:
     f = np.asarray(faces)
-    return {"type": "mesh3d", **_xyz(vertices)} | {
+    return {"type": "mesh3d", "lightposition": LIGHT, **_xyz(vertices)} | {
         k: _packed(f[:, c], "i4") for c, k in enumerate("ijk")
     }
 
@@ -185,11 +189,7 @@ def view_3d(data: ReportData, transparent: bool) -> dict[str, Any]:
     looked_at, normals = skin, data.shown_poses[:, :3, 2]
     if data.recording is not None and not np.isfinite(skin).any():
         looked_at, normals = data.recording.points, data.recording.normals
-    made = layout(looked_at, normals, extent)
-    for trace in traces:
-        if trace["type"] == "mesh3d":
-            trace["lightposition"] = made["meta"]["light"]
-    return {"data": traces, "layout": made}
+    return {"data": traces, "layout": layout(looked_at, normals, extent)}
 
 
 def _with_path(extent: Array, path: Array) -> Array:
@@ -294,7 +294,6 @@ def layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
         "updatemenus": [_buttons(cameras)],
         "font": {"family": "system-ui, sans-serif", "size": 12, "color": theme.INK},
         "paper_bgcolor": "#ffffff",
-        "meta": {"light": _vector((plane.origin + 8 * size * (direction + 0.5 * up)) * MM)},
     }
 
 

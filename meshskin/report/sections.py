@@ -81,9 +81,9 @@ def content(data: ReportData, pictures: Sequence[SavedFigure]) -> Content:
         reasons["Verdict"] = [bullets(f"{verdict.level}:", verdict.reasons)]
     sections = {
         **reasons,
-        "Observability": advice.observability(data),
         "Recommendations": [bullets("", steps)] if steps else [],
         "3D view": [scene3d.section(data)],
+        "Observability": advice.observability(data),
         **learned_response.section(data.calibration.response, pictures),
         "Figures": [saved_figure(p) for p in pictures if p.png.stem not in OWN_SECTIONS],
         "Numbers": _numbers(data),

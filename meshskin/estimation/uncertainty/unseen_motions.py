@@ -19,6 +19,9 @@ LARGE = 0.3e-3
 chance: an error that a map is not used with."""
 TURNED = 0.01
 """Part of the points' motion by a turn up to which it is a displacement."""
+MEET = 0.02
+"""Distance of a point from axes that meet there, relative to its distance from the contacts: those
+of a ball are within 1e-3 (test_a_ball_turns_about_its_middle)."""
 
 
 def unseen_motions(data: Measurements) -> tuple[str, ...]:
@@ -30,7 +33,11 @@ def unseen_motions(data: Measurements) -> tuple[str, ...]:
     hit = data.body.closest(data.points)
     left = hit.distance - hit.normal @ displacement(hit.distance, hit.normal)
     variance = effective_variance(left, data.points)
-    words = [_in_words(*motion) for motion in _motions(data.points, hit.normal, variance)]
+    motions = _motions(data.points, hit.normal, variance)
+    centre = _common_centre(motions)
+    words = [_in_words(*motion) for motion in motions]
+    if centre is not None:
+        words = [f"any turn about the point {_vector(1e3 * centre, 1)} mm"]
     if not words:
         return ()
     return (
@@ -70,13 +77,27 @@ def _motions(points: Array, normals: Array, variance: float) -> list[tuple[Array
     return found
 
 
-def _in_words(axis: Array, direction: Array, about: Array) -> str:
-    def vector(x: Array, digits: int) -> str:
-        return "(" + ", ".join(f"{value + 0.0:g}" for value in np.round(x, digits)) + ")"
+def _common_centre(motions: list[tuple[Array, Array, Array]]) -> Array | None:
+    """The point (3,), m, where the axes of three turns meet, as those of a ball do; else None."""
+    axes, through = (np.array([motion[k] for motion in motions]) for k in (0, 2))
+    if len(motions) != 3 or not axes.any(axis=1).all():
+        return None
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    off = (across @ through[:, :, None])[..., 0]
+    centre = np.linalg.solve(across.sum(axis=0), off.sum(axis=0))
+    missed = np.linalg.norm((across @ centre) - off, axis=1).max()
+    far = np.linalg.norm(centre - through, axis=1).max()
+    return centre if missed <= MEET * far else None
 
+
+def _vector(x: Array, digits: int) -> str:
+    return "(" + ", ".join(f"{value + 0.0:g}" for value in np.round(x, digits)) + ")"
+
+
+def _in_words(axis: Array, direction: Array, about: Array) -> str:
     def unsigned(x: Array) -> str:
-        return vector(np.sign(x[np.argmax(np.abs(x))]) * x, 2)
+        return _vector(np.sign(x[np.argmax(np.abs(x))]) * x, 2)
 
     if not axis.any():
         return f"a displacement along {unsigned(direction)}"
-    return f"a turn about {unsigned(axis)} through {vector(1e3 * about, 1)} mm"
+    return f"a turn about {unsigned(axis)} through {_vector(1e3 * about, 1)} mm"
