@@ -176,13 +176,13 @@ def _noise(data: Measurements, calibration: Calibration) -> list[Finding]:
 
 def _late(data: Measurements) -> list[Finding]:
     """Readings that fit the contacts some frames earlier or later better."""
-    part, change = data.later
-    if change:
+    if data.delays:
+        parts = (f"from {part:.0%} of the recording on {_frames(k)}" for part, k in data.delays[1:])
         words = (
-            f"the readings are {_frames(data.delay)}, and from {part:.0%} of the recording on "
-            f"{_frames(data.delay + change)}: moved back by that, the contacts that each taxel "
-            "responds to lie closer together, and so they were used; look for frames that were "
-            "lost or doubled there, and correct the times of the readings"
+            f"the readings are {_frames(data.delay)}, {', '.join(parts)}: moved back by that, the "
+            "contacts that each taxel responds to lie closer together, and so they were used; look "
+            "for frames that were lost or doubled there, and for clocks that run at different "
+            "rates, and correct the times of the readings"
         )
         return [(DOUBT, words)]
     if not data.delay:
