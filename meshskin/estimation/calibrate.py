@@ -31,9 +31,10 @@ from .result import EstimatorResult
 from .trilateration import coactivation, eq15, trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
 from .uncalibrated import uncalibrated
-from .uncertainty import observability, second_places
+from .uncertainty import observability
 from .uncertainty.contact_errors import systematic_covariance
 from .uncertainty.judge import fails_by_itself, judge
+from .uncertainty.second_places import SecondPlaces
 from .uncertainty.unseen_motions import unseen_motions
 
 UNTOUCHED = "never touched"
@@ -75,8 +76,9 @@ class Estimation:
         """The calibration by a method; arguments and errors as `calibrate`."""
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         found, result = self._estimated(method, tolerance, iterations, stage=stage)
-        begin, found = time.perf_counter(), second_places.widened(self.data, found)
-        verdict = judge(self.recording, self._near, found, result.departures, self.data)
+        begin, places = time.perf_counter(), SecondPlaces(self.data, found)
+        found = places.widened()
+        verdict = judge(self.recording, self._near, found, result.departures, places.findings())
         stage.end()
         judged = time.perf_counter() - begin
         more = {name: found.seconds[name] + judged for name in ("other", "total")}

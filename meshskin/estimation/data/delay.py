@@ -13,11 +13,9 @@ import numpy as np
 from scipy.special import bdtrc
 
 from ...core.arrays import Array, spreads_by_group, sums_by_group
+from .delay_changes import BLOCKS, LAGS, LATE_FRAMES, delay_course
 from .measurements import Measurements
 
-LATE_FRAMES = 5
-"""Delays of the readings, in frames, that are all looked at; larger ones while they fit better.
-Contacts of a taxel that are farther apart belong to different passes over it."""
 MIN_READINGS = 10
 """Readings that most taxels must have: fewer may spread less at a wrong delay by chance."""
 LATE_GAIN = 0.98
@@ -46,9 +44,6 @@ to that by which they exceed it, up to which there can be such a filter: noise l
 """
 MIN_USED = 0.5
 """Least part of the readings that have a contact in time at a delay: fewer do not show it."""
-ENDS, DIVISIONS = (1 / 3, 1 / 6), 200
-"""Parts of the contacts, the first and the last, whose delays are compared, and the number of
-contacts, at most, from which on the delay may be another."""
 PAUSE = 3.0
 """Time between contacts, in typical frames times their difference, from which there is a pause."""
 
@@ -80,7 +75,7 @@ def late_frames(data: Measurements) -> int:
         present = spreads_by_group(at, data.taxel[used], level[used] ** 2)
         return comparison(moved, present)
 
-    found = {k: compare(k)[0] for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
+    found = {k: compare(k)[0] for k in LAGS}
     late = min(found, key=lambda k: found[k])
     step = int(np.sign(late))
     while abs(late) >= LATE_FRAMES and (beyond := compare(late + step)[0]) < found[late]:
@@ -158,58 +153,30 @@ def comparison(moved: Array, present: Array) -> tuple[float, float]:
 
 def without_delay(data: Measurements) -> Measurements:
     """The measurements with late readings at the contacts that they belong to; `delay` says by how
-    many frames they were moved, and `later` by how many more from a part of the contacts on.
+    many frames they were moved, and `delays` by how many from which parts of the contacts on.
 
-    Readings that a pause separates from their contacts are left out. Contacts whose readings are
-    left out, or came before the first contact or after the last, have none.
+    Readings that a pause separates from their contacts are left out, as are those near a change of
+    the delay. Contacts whose readings are left out, or came before the first contact or after the
+    last, have none.
     """
     if frames := late_frames(data):
         data = replace(_moved_back(data, np.full(len(data.points), frames)), delay=frames)
-    place, before, after = _change(data)
-    if before == after:
+    k, level = data.contact, np.maximum(data.pressure - data.rest[data.taxel], 0.0)
+    course = np.zeros(BLOCKS, dtype=int)
+    if not _possible_filters(data.taxel, level, *_neighbours(data, level)):  # they lag by any time
+        in_time = np.stack([_in_time(data, k, k - late) for late in LAGS])
+        course = delay_course(data, in_time, level)
+    changes = np.flatnonzero(np.diff(course)) + 1
+    if not len(changes):
         return data
-    contacts = np.arange(len(data.points))
-    unclear = np.abs(contacts - place + 0.5) < abs(after - before)
-    moved = _moved_back(data, np.where(contacts < place, before, after), unclear)
-    part = place / len(contacts)
-    return replace(moved, delay=frames + before, later=(part, after - before))
-
-
-def _change(data: Measurements) -> tuple[int, int, int]:
-    """The contact from which on the delay of the readings is another, and the delays, in frames,
-    before and after it; equal ones where it does not change.
-
-    The first and the last of ENDS are compared. The contacts of all taxels spread least if the
-    readings are moved from the true one on.
-    """
-    m, k = len(data.points), data.contact
-    level = np.maximum(data.pressure - data.rest[data.taxel], 0.0)
-    ends = {
-        (end, *(late_frames(data.select(rows)) for rows in (k < end * m, k >= (1 - end) * m)))
-        for end in ENDS
-    }
-
-    def spread(place: int, before: int, after: int) -> float:
-        row = k - np.where(k < place, before, after)
-        there = _in_time(data, k, row)
-        if any(
-            side.sum() <= MIN_USED * len(side) for side in (there[k < place], there[k >= place])
-        ):
-            return np.inf
-        at = data.points[row[there]]
-        return float(np.mean(spreads_by_group(at, data.taxel[there], level[there] ** 2)))
-
-    places = np.unique(np.linspace(1, m - 1, DIVISIONS).astype(int))
-    changes = [  # not within an end, of which the delay was found as a whole
-        (p, *both)
-        for end, *both in sorted(ends)
-        if both[0] != both[1] and max(map(abs, both)) <= LATE_FRAMES
-        for p in places[np.abs(places / m - 0.5) <= 0.5 - end].tolist()
-    ]
-    if not changes:
-        return 0, 0, 0
-    best = min(changes, key=lambda change: spread(*change))
-    return best if spread(*best) < LATE_GAIN * spread(0, 0, 0) else (0, 0, 0)
+    contacts, m = np.arange(len(data.points)), len(data.points)
+    unclear = np.zeros(m, dtype=bool)
+    for change in changes:
+        size = abs(int(course[change] - course[change - 1])) + m / BLOCKS / 2
+        unclear |= np.abs(contacts - change * m / BLOCKS + 0.5) < size
+    moved = _moved_back(data, course[contacts * BLOCKS // m], unclear)
+    steps = tuple((c / BLOCKS, frames + int(course[c])) for c in (0, *changes.tolist()))
+    return replace(moved, delay=steps[0][1], delays=steps)
 
 
 def _moved_back(
@@ -258,7 +225,7 @@ def remaining_squares(data: Measurements) -> Array:
     over it and differ between passes: where these have two directions, it is found between them.
     """
     n = len(data.ids)
-    if not (data.delay or data.later[1]):
+    if not (data.delay or data.delays):
         return np.zeros((n, 3, 3))
     moved, rows = displacements(data, 1)
     order = np.lexsort((data.contact[rows], data.taxel[rows]))

@@ -111,8 +111,9 @@ class Measurements:
     """Contacts, rows of `points`, left out because their readings misfit; they have no silences."""
     delay: int = 0
     """Frames by which the readings were recorded too late; they have been moved."""
-    later: tuple[float, int] = (0.0, 0)
-    """Part of the contacts from which on they were later by more frames, and that number."""
+    delays: tuple[tuple[float, int], ...] = ()
+    """Parts of the contacts from which on the delay is another, the first 0, and the delays there;
+    empty where it is the same in all."""
     unread: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Contacts, rows of `points`, whose readings came outside the recording: without silences."""
     lost: float = 0.0

@@ -26,7 +26,7 @@ from ..data.measurements import Measurements
 from ..data.patch_shape import MAX_EDGES
 from ..joint.departures import MIN_SCORE
 from ..learned.contact_correlations import MAX_CORRELATION
-from . import mounted_anew, recorded_normals, second_places, swapped_axes, verdict, weighted_means
+from . import mounted_anew, recorded_normals, swapped_axes, verdict, weighted_means
 from .contact_errors import SURFACE_DEPTHS, displacement, motion, nearer_points
 from .goodness_of_fit import STRONG, undeclared
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
@@ -58,10 +58,10 @@ def judge(
     data: Measurements,
     calibration: Calibration,
     departures: Mapping[str, float],
-    gathered: Measurements,
+    places: list[Finding],
 ) -> Verdict:
-    """The verdict on the calibration of `data`, which were `gathered` from `recording`, with its
-    distant readings; departures: as `EstimatorResult.departures`."""
+    """The verdict on the calibration of `data`, which were gathered from `recording`; departures:
+    as `EstimatorResult.departures`; places: `SecondPlaces.findings`."""
     checks: tuple[Callable[[], list[Finding]], ...] = (
         lambda: _fit(data, calibration),
         lambda: _departures(data, calibration, departures),
@@ -74,7 +74,7 @@ def judge(
         lambda: _of_log(recording, data, calibration.unknowns),
         lambda: _edges(data),
         lambda: weighted_means.findings(data, calibration),
-        lambda: second_places.findings(gathered, calibration),
+        lambda: places,
         lambda: verdict.forces(recording, calibration),
         lambda: verdict.force_offset(data, calibration),
         lambda: verdict.alike(calibration),
@@ -176,13 +176,13 @@ def _noise(data: Measurements, calibration: Calibration) -> list[Finding]:
 
 def _late(data: Measurements) -> list[Finding]:
     """Readings that fit the contacts some frames earlier or later better."""
-    part, change = data.later
-    if change:
+    if data.delays:
+        parts = (f"from {part:.0%} of the recording on {_frames(k)}" for part, k in data.delays[1:])
         words = (
-            f"the readings are {_frames(data.delay)}, and from {part:.0%} of the recording on "
-            f"{_frames(data.delay + change)}: moved back by that, the contacts that each taxel "
-            "responds to lie closer together, and so they were used; look for frames that were "
-            "lost or doubled there, and correct the times of the readings"
+            f"the readings are {_frames(data.delay)}, {', '.join(parts)}: moved back by that, the "
+            "contacts that each taxel responds to lie closer together, and so they were used; look "
+            "for frames that were lost or doubled there, and for clocks that run at different "
+            "rates, and correct the times of the readings"
         )
         return [(DOUBT, words)]
     if not data.delay:

@@ -36,6 +36,9 @@ DIVIDED, GATHERED = 3.0, 1.5
 """Distance of the middles of a taxel's strong readings before and after a time, and their own
 spread, rms, in that of a usual taxel's strong readings, from which, and up to which, they are at
 two places. Strong readings at one place lie in a disc, which is 2.83 wide in this unit."""
+MIN_COMPARED = 40
+"""Number of taxels that answer before and after, for which fewer are taken: two that seem exchanged
+by chance are no failure, three are."""
 FAINT = 0.25
 """Largest reading of a taxel, in the median taxel's, below which it may be noise, which is read
 anywhere."""
@@ -48,50 +51,50 @@ it answers strongly in both and lies between them: at 0.7 at most under Hertz' p
 1.2 radii of the patch apart and more."""
 
 
-def findings(data: Measurements, calibration: Calibration) -> list[Finding]:
-    """The verdict on second places; data: with the distant readings."""
-    found = _Found(data, calibration)
-    if found.share <= MAX_TAXELS[0]:
-        return []
-    ids = ", ".join(map(str, calibration.ids[found.taxels[:3]]))
-    words = (
-        f"{len(found.taxels)} of {found.of} taxels answer strongly at a second place (limit "
-        f"{MAX_TAXELS[0]:.0%}; ids {ids}{' ...' if len(found.taxels) > 3 else ''})"
-        f"{found.time}: their ids were exchanged during the recording, and others have wrong ids, "
-        "too, or their readings come late from then on, or the skin was pressed at two places at "
-        "once; calibrate parts of the recording one by one"
-    )
-    return [(FAIL if found.share > MAX_TAXELS[1] else DOUBT, words)]
-
-
-def widened(data: Measurements, calibration: Calibration) -> Calibration:
-    """The calibration with the variance of a place anywhere among the contacts added to that of
-    the taxels, where second places are a failure: those that answer at one place only may have
-    wrong ids, too. Taxels that answer at one place before and after the time are left as they are.
-    """
-    found = _Found(data, calibration)
-    if found.share <= MAX_TAXELS[1]:
-        return calibration
-    covariances = calibration.covariances.copy()
-    anywhere = float(np.sum(np.ptp(data.points, axis=0) ** 2)) / 12
-    covariances[~found.confirmed, :3, :3] += anywhere * np.eye(3)
-    return replace(calibration, covariances=covariances)
-
-
-class _Found:
-    """The second places of a calibration, and of how many taxels that would show one."""
+class SecondPlaces:
+    """The taxels of a calibration that answer strongly at a second place, and of how many that
+    would show one."""
 
     def __init__(self, data: Measurements, calibration: Calibration) -> None:
-        far = second_places(data, calibration.positions)
-        exchanged, both, part = exchanged_taxels(data, calibration.positions)
-        self.taxels, self.time = far, ""
-        self.of = int(np.isfinite(calibration.positions).all(axis=1).sum())
+        """data: with the distant readings."""
+        self.calibration, positions = calibration, calibration.positions
+        self.extent = float(np.sum(np.ptp(data.points, axis=0) ** 2)) if len(data.points) else 0.0
+        far = second_places(data, positions)
+        exchanged, both, part = exchanged_taxels(data, positions)
+        self.taxels, self.of, self.time = far, int(np.isfinite(positions).all(axis=1).sum()), ""
         self.confirmed = np.zeros(len(data.ids), dtype=bool)
+        least = self.of
         if len(exchanged) > 1:
             self.taxels, self.of = np.union1d(far, exchanged), len(np.union1d(far, both))
             self.time = f" from {part:.0%} of the recording on, of those that answer before it, too"
             self.confirmed[np.setdiff1d(both, self.taxels)] = True
-        self.share = len(self.taxels) / max(self.of, 1)
+            least = max(self.of, MIN_COMPARED)
+        self.share = len(self.taxels) / max(least, 1)
+
+    def findings(self) -> list[Finding]:
+        """The verdict on them."""
+        if self.share <= MAX_TAXELS[0]:
+            return []
+        ids = ", ".join(map(str, self.calibration.ids[self.taxels[:3]]))
+        words = (
+            f"{len(self.taxels)} of {self.of} taxels answer strongly at a second place (limit "
+            f"{MAX_TAXELS[0]:.0%}; ids {ids}{' ...' if len(self.taxels) > 3 else ''})"
+            f"{self.time}: their ids were exchanged during the recording, and others have wrong "
+            "ids, too, or their readings come late from then on, or the skin was pressed at two "
+            "places at once; calibrate parts of the recording one by one"
+        )
+        return [(FAIL if self.share > MAX_TAXELS[1] else DOUBT, words)]
+
+    def widened(self) -> Calibration:
+        """The calibration with the variance of a place anywhere among the contacts added to that of
+        the taxels, where they are a failure: those that answer at one place only may have wrong
+        ids, too. Taxels that answer at one place before and after the time are left as they are.
+        """
+        if self.share <= MAX_TAXELS[1]:
+            return self.calibration
+        covariances = self.calibration.covariances.copy()
+        covariances[~self.confirmed, :3, :3] += self.extent / 12 * np.eye(3)
+        return replace(self.calibration, covariances=covariances)
 
 
 def exchanged_taxels(data: Measurements, positions: Array) -> tuple[np.ndarray, np.ndarray, float]:

@@ -2,7 +2,8 @@
 
 A displacement along a cylinder, or a turn about its axis, moves contact points along the surface:
 their distances from it stay, and so do the readings, which know the taxels by the contacts alone.
-If the body's pose is wrong so, the whole map is displaced, and nothing in the log shows it.
+If the body's pose is wrong so, the whole map is displaced, and nothing in the log shows it. Nor
+does anything where the contact points were projected on that surface.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ from .contact_errors import SHIFT_SIGMAS, displacement, effective_variance
 LARGE = 0.3e-3
 """Motion of the contact points, m rms, from which it is named if it is within SHIFT_SIGMAS of
 chance: an error that a map is not used with."""
+ON_SURFACE, MOST = 1e-6, 0.95
+"""Distance, m, from the believed surface up to which points were computed on it, and the part of
+them: measured ones lie some hundredths of a millimetre off."""
 TURNED = 0.01
 """Part of the points' motion by a turn up to which it is a displacement."""
 MEET = 0.02
@@ -26,24 +30,30 @@ of a ball are within 1e-3 (test_a_ball_turns_about_its_middle)."""
 
 def unseen_motions(data: Measurements) -> tuple[str, ...]:
     """The motions of all contact points that the distances from the believed surface do not show,
-    in words; none where motions are estimated."""
+    in words, and whether these can show anything; none where motions are estimated."""
     names = data.parameters.names
     if data.parameters.motion is not None or "body_offset" in names or len(data.points) < 6:
         return ()
     hit = data.body.closest(data.points)
     left = hit.distance - hit.normal @ displacement(hit.distance, hit.normal)
     variance = effective_variance(left, data.points)
-    motions = _motions(data.points, hit.normal, variance)
-    centre = _common_centre(motions)
-    words = [_in_words(*motion) for motion in motions]
-    if centre is not None:
-        words = [f"any turn about the point {_vector(1e3 * centre, 1)} mm"]
-    if not words:
-        return ()
-    return (
-        f"the believed surface does not show {', '.join(words)} of all contact points: if the "
-        "body's pose was wrong by it, the whole map is displaced by as much",
-    )
+    found, motions = [], _motions(data.points, hit.normal, variance)
+    if motions:
+        words = ", ".join(_in_words(*motion) for motion in motions)
+        if (centre := _common_centre(motions)) is not None:
+            words = f"any turn about the point {_vector(1e3 * centre, 1)} mm"
+        found.append(
+            f"the believed surface does not show {words} of all contact points: if the body's pose "
+            "was wrong by it, the whole map is displaced by as much"
+        )
+    if np.quantile(np.abs(hit.distance), MOST) < ON_SURFACE:
+        found.append(
+            "the contact points were computed on the believed surface, as their distances from it "
+            f"are below {1e6 * ON_SURFACE:g} um: no error of the body, of the skin's thickness or "
+            "of the kinematics is tested or in the standard deviations; record points as measured, "
+            "or state belief.surface_sigma"
+        )
+    return tuple(found)
 
 
 def _motions(points: Array, normals: Array, variance: float) -> list[tuple[Array, Array, Array]]:

@@ -133,9 +133,11 @@ def test_a_delay_that_changes_in_the_course_of_a_recording(world, before, after)
     clear = (np.abs(right - 0.6 * m) > abs(after - before)) & (row >= 0) & (row < m)
     truth = gather(recording(right, clear), world.belief())
     found = gather(recording(row, clear), world.belief())
-    assert truth.later == (0.0, 0)
-    assert (found.delay, found.later[1]) == (before, after - before)
-    assert abs(found.later[0] - 0.6) < 0.02
+    assert truth.delays == ()
+    assert found.delay == before
+    (_, first), (part, second) = found.delays
+    assert (first, second) == (before, after)
+    assert abs(part - 0.6) < 0.02
     pairs = [
         set(zip(d.contact.tolist(), d.taxel.tolist(), d.pressure.tolist(), strict=True))
         for d in (found, truth)
@@ -144,6 +146,37 @@ def test_a_delay_that_changes_in_the_course_of_a_recording(world, before, after)
     assert len(pairs[1] - pairs[0]) < 0.03 * len(pairs[1])
     assert len(found.unread) >= abs(before)
     assert not np.isin(found.contact, found.unread).any()
+
+
+def recorded_late(world, late):
+    """Contacts in random order, with readings late by `late` (m,) frames of the part (m,) before
+    each: without those that come after the end, or when others of the same taxel do."""
+    whole = world.record()
+    m = len(whole.time)
+    order = np.random.default_rng(0).permutation(m)
+    contacts = whole.contacts.take(pa.array(order)).set_column(0, "time", pa.array(whole.time))
+    right = np.argsort(order)[whole.reading_contact]
+    row = right + late(right / m)
+    _, first = np.unique(np.stack([row, whole.reading_taxel]), axis=1, return_index=True)
+    rows = np.sort(first)[row[np.sort(first)] < m]
+    readings = whole.readings.take(pa.array(rows))
+    return Recording(contacts, readings.set_column(0, "time", pa.array(whole.time[row[rows]])), {})
+
+
+@pytest.mark.parametrize(("begin", "end"), [(0, 1 / 6), (5 / 6, 1), (0.4, 0.6)])
+def test_a_delay_in_a_part_of_a_recording(world, begin, end):
+    log = recorded_late(world, lambda part: 3 * ((part >= begin) & (part < end)))
+    found = gather(log, world.belief())
+    inside = [(part, frames) for part, frames in found.delays if frames]
+    assert inside == [(pytest.approx(begin, abs=0.02), 3)]
+    after = [part for part, _ in found.delays if part > begin + 0.1]
+    assert after == ([] if end == 1 else [pytest.approx(end, abs=0.02)])
+
+
+def test_a_clock_that_runs_faster(world):
+    """By five frames in the course of the recording."""
+    found = gather(recorded_late(world, lambda part: np.rint(5 * part).astype(int)), world.belief())
+    assert [frames for _, frames in found.delays] == [0, 1, 2, 3, 4, 5]
 
 
 def test_patches_that_are_dragged_along_are_not_late(world):

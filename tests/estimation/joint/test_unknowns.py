@@ -60,8 +60,9 @@ def test_gains_and_offsets(world, tmp_path):
         value, sigma = found.taxel_unknowns[name].T
         assert np.abs((value - truth) / sigma).max() < 5
     near(found, "modulus", 0.0)
-    assert len(found.undetermined) == 1
-    assert "turn" in found.undetermined[0]  # of the ball
+    of_the_ball, of_the_points = found.undetermined
+    assert "turn" in of_the_ball
+    assert "computed on the believed surface" in of_the_points
     found.save(tmp_path / "c")
     again = Calibration.load(tmp_path / "c")
     assert again.unknowns == found.unknowns
@@ -81,7 +82,7 @@ def test_force_scale_and_offset(world):
 def test_modulus_force_and_gain_cannot_be_told_apart(world):
     belief = world.belief(0.01, 0.05, unknown=("modulus", "force_scale", "gain"))
     found = check(world, record(world, force=world.force / 1.2), belief)
-    words, of_the_ball = found.undetermined
+    words, of_the_ball, _ = found.undetermined
     assert "turn" in of_the_ball
     assert "modulus +1, force_scale +1, gain -1" in words
     assert found.unknowns["force_scale"][1] > 0.02

@@ -9,7 +9,11 @@ import pytest
 import meshskin as ms
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.uncertainty.second_places import exchanged_taxels, findings, second_places
+from meshskin.estimation.uncertainty.second_places import (
+    SecondPlaces,
+    exchanged_taxels,
+    second_places,
+)
 from meshskin.geometry.region import Cap
 from tests.estimation.conftest import World, changed
 
@@ -81,11 +85,11 @@ def test_a_taxel_that_answers_ten_thousands_of_times(wide):
 def test_the_level_is_that_of_the_share_of_taxels(wide):
     recording, belief = wide.record(0.01, 0.05), wide.belief(0.01, 0.05)
     sound = calibrate(recording, belief)
-    assert findings(gather(recording, belief), sound) == []
+    assert SecondPlaces(gather(recording, belief), sound).findings() == []
     few = gather(exchanged(wide, recording, 0.08), belief)
     order = np.random.default_rng(0).permutation(len(few.points))
     mixed = replace(few, contact=order[few.contact], points=few.points[np.argsort(order)])
-    level, words = findings(mixed, sound)[0]
+    level, words = SecondPlaces(mixed, sound).findings()[0]
     taxels = second_places(mixed, wide.truth)
     assert 0.02 * len(wide.ids) < len(taxels) <= 0.08 * len(wide.ids)
     assert level == ("FAIL" if len(taxels) > 0.05 * len(wide.ids) else "DOUBT")
@@ -95,7 +99,7 @@ def test_the_level_is_that_of_the_share_of_taxels(wide):
         few, sound.positions
     )  # of the few that answer in both halves
     assert 0.05 * len(both) < len(taxels) <= 0.08 * len(wide.ids)
-    level, words = findings(few, sound)[0]
+    level, words = SecondPlaces(few, sound).findings()[0]
     assert level == "FAIL"
     assert "recording on" in words
 

@@ -47,4 +47,9 @@ def test_an_ellipsoid_shows_every_motion():
     scene = ms.Scene.load("ellipsoid")
     ways = np.random.default_rng(0).normal(size=(300, 3))
     points = scene.body.closest(0.2 * ways / np.linalg.norm(ways, axis=1)[:, None]).point
-    assert not unseen_motions(gather(ms.press(scene, points), scene.belief()))
+    log = ms.press(scene, points)
+    (words,) = unseen_motions(gather(log, scene.belief()))
+    assert "were computed on the believed surface" in words
+    scatter = 5e-6 * np.random.default_rng(1).normal(size=log.points.shape)
+    measured = log.with_columns(points=log.points + scatter)
+    assert not unseen_motions(gather(measured, scene.belief()))
