@@ -191,10 +191,11 @@ def test_parabolic_gap_at_its_limit_of_width(curvature):
         contact.solve("hertz", **case | {"force": 1.02 * case["force"]})
 
 
-def test_any_arguments_give_a_patch_or_a_contact_error():
+@pytest.mark.parametrize("count", [30, pytest.param(150, marks=pytest.mark.slow)])
+def test_any_arguments_give_a_patch_or_a_contact_error(count):
     rng = np.random.default_rng(5)
     solved = 0
-    for _ in range(150):
+    for _ in range(count):
         radius = 10 ** rng.uniform(-3, -1)
         thickness = None if rng.random() < 0.3 else 10 ** rng.uniform(-4.5, -1)
         try:
@@ -216,7 +217,7 @@ def test_any_arguments_give_a_patch_or_a_contact_error():
         assert 0 < patch.peak < np.inf
         assert patch.pressure([0.0, 0.0]) == pytest.approx(patch.peak, rel=1e-2)
         assert patch.reading([0.0, 0.0], patch.semi_axes[1] / 2) < patch.peak
-    assert solved > 50
+    assert solved > count / 3
 
 
 @pytest.mark.parametrize("model", contact.BATCHED)

@@ -75,7 +75,7 @@ def a_right_answer_or_a_named_error(mesh):
 RELAXED = {"deadline": None, "suppress_health_check": list(HealthCheck), "database": None}
 
 
-@settings(max_examples=40, derandomize=True, **RELAXED)
+@settings(max_examples=15, derandomize=True, **RELAXED)
 @given(meshes())
 def test_random_meshes(mesh):
     a_right_answer_or_a_named_error(mesh)

@@ -73,7 +73,7 @@ def test_where_no_contact_model_holds(world):
 
 def test_the_response_is_learned_where_no_contact_model_holds(world):
     """On skin that is softer than believed, or pressed harder than contact models reach."""
-    seen = type(world)(extent=12e-3, step=1.5e-3, body=ms.Body.sphere(0.1))
+    seen = type(world)(extent=9e-3, step=1.5e-3, body=ms.Body.sphere(0.1))
     recording = seen.record(sigma=0.01, threshold=0.03)
     material = ms.Material(0.4 * YOUNG, 0.49)
     told = replace(belief(seen, threshold=0.03 * seen.peak_reference), material=material)

@@ -20,6 +20,12 @@ def sound():
     return world(hertz, contacts=CONTACTS)
 
 
+@pytest.fixture(scope="module")
+def whole(sound):
+    """The calibration of all readings."""
+    return calibrate(recording(*sound), BELIEF)
+
+
 def kept(sound, lost, seed=0):
     """The recording without the readings lost(rng, contact, taxel)."""
     points, force, contact, taxel, pressure = sound
@@ -38,8 +44,7 @@ def stretches(rng, contact, taxel):
 
 
 @pytest.mark.parametrize("lost", [single, stretches])
-def test_lost_readings_are_no_silences(sound, lost):
-    whole = calibrate(recording(*sound), BELIEF)
+def test_lost_readings_are_no_silences(sound, whole, lost):
     found = calibrate(kept(sound, lost), BELIEF)
     off, stated = errors(found)
     assert off < 1.3 * errors(whole)[0]

@@ -139,22 +139,22 @@ def test_contacts_that_are_displaced_for_some_time_only():
     assert 1.0 < stated**0.5 < 2.5
 
 
-def test_a_jump_that_outlying_readings_hide_is_named_and_counted():
+@pytest.mark.parametrize("contact", [pytest.param("auto", marks=pytest.mark.slow), "elliptic"])
+def test_a_jump_that_outlying_readings_hide_is_named_and_counted(contact):
     """Contacts of the later half 1 mm along a capsule: the few taxels that are touched before and
     after it fit one half, and the readings of the other half are left out as outlying."""
     scene = on_a_capsule()
     skin = scene.skin
     log, along = lanes(scene, 1)
     log = log.with_columns(points=log.points + np.outer(np.arange(600) >= 300, 1e-3 * along))
-    for contact in ("auto", "elliptic"):
-        belief = scene.belief(contact=contact, noise_sigma=None)
-        found = ms.calibrate(log, belief)
-        assert found.verdict is not None
-        assert found.verdict.level == "DOUBT"
-        words = "".join(found.verdict.reasons).split("a jump of the contacts at ")[1]
-        assert abs(int(words.split("%")[0]) - 50) <= 3
-        error = np.linalg.norm(found.positions - skin.positions, axis=1)
-        good = np.isfinite(error)
-        stated = np.mean(found.position_sigma[good] ** 2) / np.mean(error[good] ** 2)
-        assert good.sum() > 55
-        assert 1.0 < stated**0.5 < 2.0
+    belief = scene.belief(contact=contact, noise_sigma=None)
+    found = ms.calibrate(log, belief)
+    assert found.verdict is not None
+    assert found.verdict.level == "DOUBT"
+    words = "".join(found.verdict.reasons).split("a jump of the contacts at ")[1]
+    assert abs(int(words.split("%")[0]) - 50) <= 3
+    error = np.linalg.norm(found.positions - skin.positions, axis=1)
+    good = np.isfinite(error)
+    stated = np.mean(found.position_sigma[good] ** 2) / np.mean(error[good] ** 2)
+    assert good.sum() > 55
+    assert 1.0 < stated**0.5 < 2.0

@@ -47,7 +47,9 @@ def test_noise_names_no_joint(setting):
         assert found.words == ""
 
 
-@pytest.mark.parametrize("length", [0.01, 0.03, 0.05])
+@pytest.mark.parametrize(
+    "length", [0.03, *(pytest.param(k, marks=pytest.mark.slow) for k in (0.01, 0.05))]
+)
 def test_errors_of_the_surface_name_no_joint(setting, length):
     """Fields over the body, as of a mesh or of a stiffness that varies, and no error of a joint."""
     kinematics, path, time, body, _ = setting

@@ -29,7 +29,10 @@ def displaced(log, by):
     return replace(log.with_columns(points=log.points + by), metadata={})
 
 
-@pytest.mark.parametrize(("share", "size"), [(0.5, 1e-3), (0.25, 1e-3), (0.5, 2e-3)])
+@pytest.mark.parametrize(
+    ("share", "size"),
+    [(0.25, 1e-3), *(pytest.param(0.5, size, marks=pytest.mark.slow) for size in (1e-3, 2e-3))],
+)
 def test_contacts_that_are_displaced_alike_are_named_and_counted(share, size):
     """Displacements of 2 mm, two thirds of a contact radius, are found 1.4 to 1.6 mm large."""
     scene, log = scattered(0)
@@ -46,7 +49,9 @@ def test_contacts_that_are_displaced_alike_are_named_and_counted(share, size):
     assert least < np.sqrt(np.mean(found.position_sigma**2) / np.mean(error**2)) < 2.0
 
 
-@pytest.mark.parametrize("kind", ["normal", "uniform", "laplace"])
+@pytest.mark.parametrize(
+    "kind", ["laplace", *(pytest.param(k, marks=pytest.mark.slow) for k in ("normal", "uniform"))]
+)
 def test_scatter_is_of_one_kind(kind):
     """Of 0.3 mm along one direction, whatever its distribution."""
     scene, log = scattered(0)
@@ -65,7 +70,7 @@ def test_scatter_is_of_one_kind(kind):
     assert not any("displaced against" in words for words in found.verdict.reasons)
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_jump_that_errors_of_contacts_stand_in_for(seed):
     """Pressed in lanes, most taxels are touched on one side of it only."""
     scene, log = scattered(seed)

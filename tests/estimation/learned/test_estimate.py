@@ -279,7 +279,7 @@ def test_noise_that_grows_with_the_reading_comes_to_rest():
     assert found.verdict.level == "PASS"
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_gains_that_rise_and_fall_during_the_recording(seed):
     """By one period of a sine, from 0.9 to 1.1."""
 
