@@ -18,7 +18,7 @@ from ..core.arrays import Array
 from ..core.errors import ConfigError, ReachError
 from ..core.progress import Progress, Stage
 from ..core.value import Value
-from ..exploration.lanes import lengths_along
+from ..exploration.chains import lengths_along
 from ..exploration.left_out import SPARSE
 from ..exploration.plan import plan_exploration
 from ..recording.recording import Recording

@@ -24,8 +24,9 @@ from ..robot import collision, posture
 from ..robot.contact_rig import ContactRig
 from ..robot.turntable import with_swivel
 from ..scene.scene import Scene
+from .chains import evenly
 from .lane_plan import STEP, posture_reasons, reachable_nodes, region_radius
-from .lanes import cover, evenly
+from .lanes import cover
 from .left_out import (
     NOT_COVERED,
     SPARSE,

@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array, Index, runs
+from ..core.arrays import Array, Index
 from ..geometry.body import Body
 from ..geometry.geodesics import geodesic, onto
+from ..geometry.mesh.topology import connected_components
 from ..geometry.surface.closest_point import Closest
+from .chains import chain_runs, evenly, gradient, joined_runs, lengths_along
 
 MIN_ADVANCE = 0.3
 """Least advance of a trace or an offset, relative to its step: below it a border or an edge holds
@@ -34,9 +36,11 @@ OPPOSITE = -0.5
 presses both (`contact.reading.same_sheet`)."""
 EMPTY_LANES = 4
 """Consecutive lanes outside the region after which a side is finished."""
-MAX_FAMILIES = 40
-"""Most geodesics that are started in one region: a bound on the time; the studies' bodies need at
-most a dozen."""
+LOOK = 16
+"""Steps of a geodesic between the looks whether it has left the region."""
+MAX_FAMILIES = 200
+"""Most geodesics that are started in one region: a bound on the time. A link with many recesses
+(Talos torso_2, 200 taxels) needs 55."""
 
 
 class PointCloud:
@@ -87,10 +91,14 @@ class Coverage:
         self._side = radius if _has_two_sides(sites, radius) else 0.0
         self._radius, self._duplicate = radius, duplicate
         self._sites = PointCloud(self.places(sites))
-        self.width = float(np.linalg.norm(np.ptp(sites.point, axis=0))) + 2.0 * radius
-        """Diagonal of the region's bounding box, m."""
+        self.look_for(sites.point)
         self.samples = PointCloud()
         """Samples of the lanes so far."""
+
+    def look_for(self, sites: Array) -> None:
+        """Cover sites (k, 3), m, next: geodesics cross gaps as wide as these are apart."""
+        self.width = float(np.linalg.norm(np.ptp(sites, axis=0))) + 2.0 * self._radius
+        """Diagonal of the bounding box of the region about the sites that are looked for, m."""
 
     def places(self, at: Closest) -> Array:
         """Points (k, 3), m, whose distances count; where the region has two sides, (k, 6), with
@@ -120,7 +128,7 @@ class Coverage:
         ends = np.cumsum([len(chain.point) for chain in lane])
         pieces = []
         for first, end in zip((0, *ends), ends, strict=False):
-            for run in _runs(new[first:end], gap):
+            for run in joined_runs(new[first:end], gap):
                 if run.stop - run.start > gap:
                     rows = np.arange(first + run.start, first + run.stop)
                     self.samples.add(points[rows[new[rows]]])
@@ -148,12 +156,21 @@ def cover(body: Body, sites: Array, spacing: float, radius: float, step: float) 
         if not remaining.any():
             break
         start, directions = _start(body, sites[remaining])
+        if len(pieces):
+            coverage.look_for(_connected(sites[remaining], start, 2.0 * radius))
         pieces += _family(body, start, directions, spacing, step, coverage)
         begin = coverage.places(body.surface.nearest(start[None]))
         distance = np.linalg.norm(places - begin, axis=1)
         covered = np.minimum(coverage.samples.distance(places), distance)
         remaining &= (covered > spacing) & (distance > distance[remaining].min())
     return pieces
+
+
+def _connected(sites: Array, start: Array, distance: float) -> Array:
+    """The sites (n, 3) that are linked to the one at `start` by steps of at most `distance`, m."""
+    one, two = PointCloud(sites).pairs(distance).T
+    label = connected_components(one, two, len(sites))
+    return sites[label == label[np.argmin(np.linalg.norm(sites - start, axis=1))]]
 
 
 def _start(body: Body, sites: Array) -> tuple[Array, list[Array]]:
@@ -200,6 +217,7 @@ def _traces(
     count = len(directions)
     trace = geodesic(body, np.repeat(start[None], count, axis=0), directions, step)
     points, outside = [next(trace)[0].point], np.zeros(count, dtype=int)
+    recent: list[Closest] = []
     length = np.ones(count, dtype=int)
     going, closed = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
     for k in range(int(4.0 * body.surface.scale / step)):
@@ -211,9 +229,12 @@ def _traces(
         if k > 3:
             closed |= going & (np.linalg.norm(point - points[0], axis=1) < 0.75 * step)
             going &= ~closed
-        if coverage is not None:
-            outside = np.where(coverage.lacks(at), 0, outside + 1)
+        recent.append(at)
+        if coverage is not None and len(recent) == LOOK:
+            lacks = coverage.lacks(Closest.concatenate(recent)).reshape(LOOK, count)
+            outside = np.where(lacks.any(axis=0), np.argmax(lacks[::-1], axis=0), outside + LOOK)
             going &= outside * step <= coverage.width
+            recent = []
         if not going.any():
             break
     together = np.stack(points, axis=1)
@@ -263,19 +284,15 @@ def _without_overlap(
     """
     if not lane:
         return []
-    points = coverage.places(Closest.concatenate(lane))
-    chain_of = np.repeat(np.arange(len(lane)), [len(chain.point) for chain in lane])
+    whole = Closest.concatenate(lane)
+    points = coverage.places(whole)
+    ends = np.cumsum([len(chain.point) for chain in lane])
+    chain_of = np.repeat(np.arange(len(lane)), np.diff(ends, prepend=0))
     near = earlier.distance(points, distance) < distance
     early, late = PointCloud(points).pairs(distance).T
     near[late[chain_of[early] < chain_of[late]]] = True
     earlier.add(points)
-    parts = np.split(near, np.flatnonzero(np.diff(chain_of)) + 1)
-    return [
-        chain.take(run)
-        for chain, part in zip(lane, parts, strict=True)
-        for run in runs(~part)
-        if run.stop - run.start > 2
-    ]
+    return [whole.take(run) for run in chain_runs(~near, ends) if run.stop - run.start > 2]
 
 
 def _offset(body: Body, lane: list[Closest], shift: float, step: float) -> list[Closest]:
@@ -283,46 +300,22 @@ def _offset(body: Body, lane: list[Closest], shift: float, step: float) -> list[
     lane = [chain for chain in lane if len(chain.point) > 1]  # one point has no direction
     if not lane:
         return []
-    along = [np.gradient(chain.point, axis=0) for chain in lane]
-    whole = Closest.concatenate(lane)
-    left = np.cross(whole.normal, np.concatenate(along))
+    whole, ends = Closest.concatenate(lane), np.cumsum([len(chain.point) for chain in lane])
+    along = gradient(whole.point, ends)
+    left = np.cross(whole.normal, along)
     length = np.linalg.norm(left, axis=1, keepdims=True)  # zero where a lane folds at a crease
     left /= np.where(length > 0.0, length, np.inf)
     hit = body.surface.nearest(whole.point + shift * left, whole.face)
     moved = np.linalg.norm(hit.point - whole.point, axis=1)
-    ends = np.cumsum([len(chain.point) for chain in lane])
-    resampled = []
-    for chain_along, first, end in zip(along, (0, *ends), ends, strict=False):
-        points = hit.point[first:end]
-        ahead = np.gradient(points, axis=0)
-        forward = np.einsum("ij,ij->i", ahead, chain_along) > 0.05 * np.einsum(
-            "ij,ij->i", chain_along, chain_along
-        )
-        for run in runs(forward & (moved[first:end] > MIN_ADVANCE * abs(shift))):
-            if lengths_along(points[run])[-1] >= 2 * step:
-                resampled.append(evenly(points[run], step, 2))
+    forward = np.einsum("ij,ij->i", gradient(hit.point, ends), along)
+    forward = forward > 0.05 * np.einsum("ij,ij->i", along, along)
+    s = lengths_along(hit.point)
+    resampled = [
+        evenly(hit.point[run], step, 2)
+        for run in chain_runs(forward & (moved > MIN_ADVANCE * abs(shift)), ends)
+        if s[run.stop - 1] - s[run.start] >= 2 * step
+    ]
     if not resampled:
         return []
     at = body.surface.nearest(np.concatenate(resampled))
     return at.split([len(points) for points in resampled])
-
-
-def lengths_along(points: Array) -> Array:
-    """Lengths (k,), m, from the start of a polyline (k, 3) to its points."""
-    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-
-
-def evenly(points: Array, step: float, least: int) -> Array:
-    """Points evenly about `step`, m, apart on the polyline (k, 3), in `least` intervals or more."""
-    s = lengths_along(points)
-    even = np.linspace(0.0, s[-1], max(round(s[-1] / step), least) + 1)
-    return np.stack([np.interp(even, s, x) for x in points.T], axis=1)
-
-
-def _runs(mask: NDArray[np.bool_], gap: int) -> list[slice]:
-    """The runs of True values, joined over gaps of up to `gap` samples."""
-    filled = mask.copy()
-    for run in runs(~mask):
-        if run.start > 0 and run.stop < len(mask) and run.stop - run.start <= gap:
-            filled[run] = True
-    return runs(filled)

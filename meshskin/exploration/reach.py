@@ -23,7 +23,6 @@ from ..core.errors import ConfigError, ContactError, MeshError
 from ..core.progress import Progress, Stage
 from ..core.se3 import orthonormal_basis, transform
 from ..geometry.body import Body
-from ..geometry.mesh.self_intersection import ray_scene
 from ..scene.scene import Scene
 from ..scene.settings import Law, Loop
 from ..skin.skin import Skin
@@ -212,13 +211,9 @@ def visible(body: Body, points: Array, normals: Array) -> NDArray[np.bool_]:
     """Whether (n,) a straight line in front of a point (n, 3) leads away from the body."""
     ways = np.random.default_rng(0).normal(size=(DIRECTIONS, 3))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
-    scale, out = body.surface.scale, np.zeros(len(points), dtype=bool)
-    # embree is single precision: in units of the extent, and a little off the surface
-    middle = body.mesh.bounds.mean(axis=0)
-    scene = ray_scene((body.mesh.vertices - middle) / scale, body.mesh.faces)
-    start = ((points - middle) / scale + 1e-4 * normals).astype(np.float32)
+    # rays are of single precision: they start a little off the surface
+    start, out = points + 1e-4 * body.surface.scale * normals, np.zeros(len(points), dtype=bool)
     for way in ways:
         front = np.flatnonzero(~out & (normals @ way > GRAZING))
-        ahead = np.tile(way.astype(np.float32), (len(front), 1))
-        out[front] = np.asarray(scene.run(start[front], ahead)) < 0
+        out[front] = body.free_rays(start[front], way)
     return out

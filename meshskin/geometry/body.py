@@ -165,6 +165,15 @@ class Body(Value, Card):
             spread[name][rows] = values
         return Closest(**spread)
 
+    def free_rays(self, origins: Array, directions: Array) -> NDArray[np.bool_]:
+        """Whether (n,) rays from `origins` (n, 3), m, along unit vectors `directions` (n, 3), or one
+        (3,), meet nothing (embree, single precision).
+        """
+        centre, scale, scene = self._ray_scene
+        start = ((origins - centre) / scale).astype(np.float32)
+        along = np.broadcast_to(directions, start.shape).astype(np.float32)
+        return np.asarray(scene.run(start, along)) < 0
+
     @cached_property
     def _ray_scene(self) -> tuple[Array, float, Any]:
         """Centre and extent of the mesh, m, and the embree scene of it, scaled by them."""

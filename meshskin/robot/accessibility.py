@@ -30,8 +30,9 @@ def enclosed(body: Body, points: Array, normals: Array, radius: float) -> NDArra
     for part in (0.5, 0.0):
         for direction in spread_directions(DIRECTIONS):
             start = centres[held] + part * ahead[held, None] * normals[held]
-            length = free_lengths(body, start, np.tile(direction, (len(held), 1)), radius)
-            held = held[~np.isinf(length)]
+            rows = np.flatnonzero(body.free_rays(start, direction))  # much faster than the sphere
+            length = free_lengths(body, start[rows], np.tile(direction, (len(rows), 1)), radius)
+            held = np.delete(held, rows[np.isinf(length)])
     out = np.zeros(len(points), dtype=bool)
     out[held] = True
     return out

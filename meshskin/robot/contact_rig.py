@@ -60,7 +60,8 @@ class ContactRig:
     def _edge_tree(self) -> Any:
         from scipy.spatial import cKDTree
 
-        return cKDTree(self.edge_points)
+        # asked a few times: a tree that is built fast
+        return cKDTree(self.edge_points, balanced_tree=False, compact_nodes=False)
 
     @cached_property
     def allowed_collisions(self) -> collision.AllowedCollisions | None:

@@ -21,7 +21,7 @@ from ..core.arguments import check_vector
 from ..core.arrays import Array
 from ..core.errors import ReachError, TuningError
 from ..core.se3 import inverse, orthonormal_basis, transform
-from ..exploration.lanes import lengths_along
+from ..exploration.chains import lengths_along
 from ..exploration.path import Path, body_twists
 from ..geometry.body import Body
 from ..geometry.geodesics import geodesic

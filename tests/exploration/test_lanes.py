@@ -167,3 +167,18 @@ def test_both_faces_of_a_thin_plate_have_lanes():
         own = points[points[:, 2] * face > 0.49e-3]
         apart = PointCloud(own).distance(sites[sites[:, 2] * face > 0])
         assert apart.max() < 2e-3
+
+
+def test_geodesics_for_a_few_taxels_that_are_left_do_not_go_round_the_body(monkeypatch):
+    body, sites = Body.sphere(0.1), np.random.default_rng(0).normal(size=(12, 3))
+    sites *= 0.1 / np.linalg.norm(sites, axis=1)[:, None]
+    searches, nearest = [], body.surface.nearest
+
+    def counted(*args, **kwargs):
+        searches.append(args)
+        return nearest(*args, **kwargs)
+
+    monkeypatch.setattr(body.surface, "nearest", counted)
+    points = np.concatenate([piece.point for piece in cover(body, sites, 4e-3, 7e-3, 1.5e-3)])
+    assert cKDTree(points).query(sites)[0].max() < 4e-3
+    assert len(searches) < 900  # 1313 where each geodesic may cross the whole region

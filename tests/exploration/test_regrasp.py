@@ -9,6 +9,8 @@ import pytest
 import meshskin as ms
 from meshskin.core.errors import ReachError
 from meshskin.core.se3 import inverse
+from meshskin.exploration import lane_plan
+from meshskin.exploration.lanes import cover
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.simulation import transfer
@@ -69,27 +71,47 @@ def test_the_metadata_hold_the_reasons_of_taxels_that_are_left_out(islands):
     assert set(recording.reading_taxel) >= set(scene.skin.ids) - set(plan.unreachable)
 
 
-def test_a_joint_limit_breaks_a_lane():
-    whole = ms.Scene.load("capsule")
-    skin = ms.Skin.cover(whole.body, count=30, spacing=5e-3, region=Cap((1.0, 0.0, 0.0)))
-    free = plan_exploration(whole.with_(skin=skin))
-    assert len(free.segments) == 1
-    poses = free.path.poses[::20] @ inverse(whole.mount_pose)
-    q = whole.arm.inverse_kinematics(poses, free.path.postures[0])
+def followed(scene, plan):
+    """Joint angles along each segment, from its posture, at which the arm is at its first pose.
+
+    The default mount is that of the planned skin. Raises ReachError beyond a joint limit.
+    """
+    found = []
+    for place in plan.segments:
+        tips = place.poses[::20] @ inverse(scene.mount_pose)
+        found.append(scene.arm.inverse_kinematics(tips, place.postures[0]))
+        assert np.abs(found[-1][0] - place.postures[0]).max() < 0.02
+    return found
+
+
+@pytest.mark.parametrize("seed", [None, 1, 2, 3])
+def test_joint_limits_break_lanes_of_any_order(seed, monkeypatch):
+    if seed is not None:  # the order and the direction of lanes are the planner's own business
+        rng = np.random.default_rng(seed)
+
+        def shuffled(*args):
+            lanes = cover(*args)
+            order = rng.permutation(len(lanes))
+            return [lanes[k].take(slice(None, None, rng.choice([-1, 1]))) for k in order]
+
+        monkeypatch.setattr(lane_plan, "cover", shuffled)
+    scene = ms.Scene.load("capsule")
+    skin = ms.Skin.cover(scene.body, count=30, spacing=5e-3, region=Cap((1.0, 0.0, 0.0)))
+    scene = scene.with_(skin=skin)
+    q = np.concatenate(followed(scene, plan_exploration(scene)))
     # each joint's way cut in the middle, where other postures of the arm are as good
     cut = [(j, 0.5 * (q[:, j].min() + q[:, j].max())) for j in range(6) if np.ptp(q[:, j]) > 0.2]
     broken = 0
     for joint, middle in cut:
-        arm = replace(whole.arm, upper=whole.arm.upper.copy())
+        arm = replace(scene.arm, upper=scene.arm.upper.copy())
         arm.upper[joint] = middle
+        limited = scene.with_(arm=arm)
         try:
-            plan = plan_exploration(whole.with_(skin=skin, arm=arm))
+            plan = plan_exploration(limited)
         except ReachError:
             continue
         broken += len(plan.segments) > 1 or bool(plan.unreachable)
-        for place in plan.segments:
-            follow = place.poses[::20] @ inverse(whole.mount_pose)
-            arm.inverse_kinematics(follow, place.postures[0])  # raises beyond the limit
+        followed(limited, plan)
     assert broken
 
 
