@@ -16,8 +16,11 @@ from ...core.arrays import Array, spreads_by_group, sums_by_group
 from .delay_changes import BLOCKS, LAGS, LATE_FRAMES, delay_course
 from .measurements import Measurements
 
-MIN_READINGS = 10
-"""Readings that most taxels must have: fewer may spread less at a wrong delay by chance."""
+MIN_READINGS, FEW_READINGS, FEW_GAIN = 10, 5, 0.5
+"""Readings that most taxels must have: fewer may spread less at a wrong delay by chance. Of fewer,
+down to the second number, the spread must fall to the part FEW_GAIN: 7 to 9 readings that are 2 or
+3 frames late spread 0.16 to 0.25 times as much moved back, those in time least as they are.
+"""
 LATE_GAIN = 0.98
 """Mean square distance of a taxel's contacts with the readings moved to other frames, relative to
 the present one, below which they are late: 0.94 to 0.96 for one frame at 0.5 mm a frame. In
@@ -44,6 +47,8 @@ to that by which they exceed it, up to which there can be such a filter: noise l
 """
 MIN_USED = 0.5
 """Least part of the readings that have a contact in time at a delay: fewer do not show it."""
+WHOLE = 1 / 12
+"""Mean square, frames^2, of a part of a frame with a uniform distribution."""
 PAUSE = 3.0
 """Time between contacts, in typical frames times their difference, from which there is a pause."""
 
@@ -57,8 +62,10 @@ def late_frames(data: Measurements) -> int:
     filter lag, too: they are late only by what remains without its effect. None are where patches
     that friction drags a constant distance along the path explain it better.
     """
-    if not data.counts.any() or np.median(data.counts[data.counts > 0]) < MIN_READINGS:
+    typical = np.median(data.counts[data.counts > 0]) if data.counts.any() else 0
+    if typical < FEW_READINGS:
         return 0
+    least_gain = LATE_GAIN if typical >= MIN_READINGS else FEW_GAIN
     level = np.maximum(data.pressure - data.rest[data.taxel], 0.0)
     before, last = _neighbours(data, level)
 
@@ -81,7 +88,7 @@ def late_frames(data: Measurements) -> int:
     while abs(late) >= LATE_FRAMES and (beyond := compare(late + step)[0]) < found[late]:
         late += step
         found[late] = beyond
-    if found[late] >= LATE_GAIN or compare(late)[1] >= CHANCE:
+    if found[late] >= least_gain or compare(late)[1] >= CHANCE:
         return 0
     parts = _possible_filters(data.taxel, level, before, last)
     filtered = {k: min((compare(k, kept)[0] for kept in parts), default=np.inf) for k in found}
@@ -219,7 +226,7 @@ def displacements(data: Measurements, frames: int) -> tuple[Array, np.ndarray]:
 
 def remaining_squares(data: Measurements) -> Array:
     """Mean squares (n, 3, 3), m^2, of the taxels' displacements by what is left of the delay of
-    readings that came too late: a part of a frame, of uniform distribution.
+    readings that came too late: a part of a frame, which the spread of the contacts tells, too.
 
     A taxel is displaced by the mean of its contacts' displacements, which are alike in one pass
     over it and differ between passes: where these have two directions, it is found between them.
@@ -228,8 +235,12 @@ def remaining_squares(data: Measurements) -> Array:
     if not (data.delay or data.delays):
         return np.zeros((n, 3, 3))
     moved, rows = displacements(data, 1)
+    begins, frames = np.array(data.delays or ((0.0, data.delay),)).T
+    part = (data.contact[rows] + 0.5) / len(data.points)
+    late = frames[np.searchsorted(begins, part, side="right") - 1] != 0
+    moved[~late] = 0.0
     order = np.lexsort((data.contact[rows], data.taxel[rows]))
-    moved, rows = moved[order], rows[order]
+    moved, rows, late = moved[order], rows[order], late[order]
     weight, own, at = data.pressure[rows] ** 2, data.taxel[rows], data.contact[rows]
     begins = (np.diff(own, prepend=-1) != 0) | (np.diff(at, prepend=0) > LATE_FRAMES)
     number = np.cumsum(begins) - 1
@@ -238,4 +249,21 @@ def remaining_squares(data: Measurements) -> Array:
     apart = sums_by_group(share[:, None] * (moved - mean[own]), number)
     total = mean[:, :, None] * mean[:, None, :]
     total += sums_by_group(apart[:, :, None] * apart[:, None, :], own[begins], n)
-    return np.asarray(total / 12)
+    return np.asarray(_remaining_square(data, rows[late]) * total)
+
+
+def _remaining_square(data: Measurements, rows: np.ndarray) -> float:
+    """Mean square, frames^2, of what is left of the delay of the readings `rows`: of a part of a
+    frame, by the curvature and the minimum of the spread's likelihood in the delay."""
+    taxel, k = data.taxel[rows], data.contact[rows]
+    weight = np.maximum(data.pressure[rows] - data.rest[taxel], 0.0) ** 2
+    size = np.bincount(taxel, weight) ** 2 / np.maximum(np.bincount(taxel, weight**2), 1e-300)
+    cost = []
+    for lag in (-1, 0, 1):
+        row = k - lag * _in_time(data, k, k - lag)
+        spread = spreads_by_group(data.points[row], taxel, weight)
+        cost.append(size[np.unique(taxel)] @ spread)
+    early, here, late = np.log(np.maximum(cost, 1e-300)) * size.sum()
+    curvature = max(early + late - 2 * here, 0.0)
+    off = np.clip((early - late) / 2 / max(curvature, 1e-300), -0.5, 0.5)
+    return float(min(WHOLE, off**2 + 1 / (1 / WHOLE + curvature)))

@@ -37,19 +37,22 @@ def delay_course(data: Measurements, in_time: np.ndarray, level: Array) -> np.nd
     pause between them; level (k,): pressures above those at rest.
     """
     sums, size = _sums(data, in_time, level)
-    lags = np.full(BLOCKS, LATE_FRAMES)
-    everywhere = sums[:, -1]
-    cost = np.array([_cost(total, size) for total in everywhere])
-    first = least = float(cost[LATE_FRAMES])
+    cost = np.array([_cost(total, size) for total in sums[:, -1]])
+
+    def gain(before: float, after: float) -> float:
+        return float(size.sum() * np.log(before / max(after, 1e-300)))
+
+    constant, start = int(np.argmin(cost)), LATE_FRAMES
+    if gain(cost[start], cost[constant]) >= LEAST_GAIN:  # changes would stand in for it
+        start = constant
+    lags, least = np.full(BLOCKS, start), float(cost[start])
     for _ in range(MAX_CHANGES):
         found, lag, begin, end = _best_change(sums, lags, size)
-        if size.sum() * np.log(least / max(found, 1e-300)) < LEAST_GAIN:
+        if gain(least, found) < LEAST_GAIN:
             break
         least, lags[begin:end] = found, lag
-    constant = min(first, float(cost.min()))
-    if size.sum() * np.log(constant / max(least, 1e-300)) < LEAST_GAIN:
-        return np.zeros(BLOCKS, dtype=int)
-    return lags - LATE_FRAMES
+    changes = gain(cost[constant], least) >= LEAST_GAIN
+    return lags - LATE_FRAMES if changes else np.zeros(BLOCKS, dtype=int)
 
 
 def _sums(data: Measurements, in_time: np.ndarray, level: Array) -> tuple[Array, Array]:

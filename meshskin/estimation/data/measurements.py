@@ -112,8 +112,7 @@ class Measurements:
     delay: int = 0
     """Frames by which the readings were recorded too late; they have been moved."""
     delays: tuple[tuple[float, int], ...] = ()
-    """Parts of the contacts from which on the delay is another, the first 0, and the delays there;
-    empty where it is the same in all."""
+    """Parts of the contacts from which on the delay is another, and that; empty: it is not."""
     unread: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Contacts, rows of `points`, whose readings came outside the recording: without silences."""
     lost: float = 0.0

@@ -148,15 +148,16 @@ def test_a_delay_that_changes_in_the_course_of_a_recording(world, before, after)
     assert not np.isin(found.contact, found.unread).any()
 
 
-def recorded_late(world, late):
-    """Contacts in random order, with readings late by `late` (m,) frames of the part (m,) before
-    each: without those that come after the end, or when others of the same taxel do."""
+def recorded_late(world, late, share=1.0):
+    """A share of the contacts in random order, with readings late by late(part) frames of the part
+    (m,) of the contacts before each: without those after the end, or that others come before."""
     whole = world.record()
-    m = len(whole.time)
-    order = np.random.default_rng(0).permutation(m)
-    contacts = whole.contacts.take(pa.array(order)).set_column(0, "time", pa.array(whole.time))
+    order = np.random.default_rng(0).permutation(len(whole.time))
+    m = round(share * len(order))
+    contacts = whole.contacts.take(pa.array(order[:m]))
+    contacts = contacts.set_column(0, "time", pa.array(whole.time[:m]))
     right = np.argsort(order)[whole.reading_contact]
-    row = right + late(right / m)
+    row = np.where(right < m, right + late(right / m), m)
     _, first = np.unique(np.stack([row, whole.reading_taxel]), axis=1, return_index=True)
     rows = np.sort(first)[row[np.sort(first)] < m]
     readings = whole.readings.take(pa.array(rows))
@@ -171,6 +172,15 @@ def test_a_delay_in_a_part_of_a_recording(world, begin, end):
     assert inside == [(pytest.approx(begin, abs=0.02), 3)]
     after = [part for part, _ in found.delays if part > begin + 0.1]
     assert after == ([] if end == 1 else [pytest.approx(end, abs=0.02)])
+
+
+def test_late_readings_of_which_taxels_have_few(world):
+    """Seven each, as in a quick log; those in time are not late."""
+    for frames in (0, 2):
+        log = recorded_late(world, lambda part, k=frames: k + 0 * part.astype(int), share=0.1)
+        found = gather(log, world.belief())
+        assert 5 <= np.median(found.counts[found.counts > 0]) < 10
+        assert (found.delay, found.delays) == (frames, ())
 
 
 def test_a_clock_that_runs_faster(world):
