@@ -91,7 +91,6 @@ def tare(
     columns = [slice(k, min(k + COLUMNS, t)) for k in range(0, t, COLUMNS)]
     lost = ~np.isfinite(values)
     values, span, glitches = _without_glitches(values, lost, columns)
-    missing = lost | glitches
     noise, floor = np.concatenate([_noise(values[:, p], span[p]) for p in columns], axis=1)
     if not noise.any():
         raise _silent(name, "no reading ever changes")
@@ -99,20 +98,16 @@ def tare(
     densest = np.concatenate([_densest(values[:, part], edges) for part in columns], axis=1)
     levels = _smoothed(densest)
     on, off = thresholds(n, t)
-    in_contact = np.zeros(n, dtype=bool)
     readings = np.empty((n, t), dtype=np.float32)
-    strongest = np.empty((2, n))
-    rest, jumps = ~in_contact, None
+    rest, jumps = np.ones(n, dtype=bool), None
     for _ in range(PASSES):
-        strongest[:] = 0.0
+        strongest = np.zeros((2, n))
         for part in columns:
-            above = values[:, part].astype(float) - _interpolated(times, edges, levels[:, part])
-            levels[:, part] = _refined(above, edges, levels[:, part], noise[part], off, rest)
-            above = values[:, part].astype(float) - _interpolated(times, edges, levels[:, part])
-            readings[:, part] = above
+            level = _refined(values[:, part], times, edges, levels[:, part], noise[part], off, rest)
+            above = values[:, part].astype(float) - _interpolated(times, edges, level)
+            levels[:, part], readings[:, part] = level, above
             relative = above / np.where(noise[part] > 0, noise[part], np.inf)
-            np.maximum(strongest[0], relative.max(axis=1), out=strongest[0])
-            np.maximum(strongest[1], -relative.min(axis=1), out=strongest[1])
+            np.maximum(strongest, [relative.max(axis=1), -relative.min(axis=1)], out=strongest)
         up, down = np.sum(np.maximum(strongest - on, 0.0), axis=1)
         falling = polarity == FALLING or (polarity == AUTO and down > up)
         in_contact = segment(strongest[int(falling)], on, off)
@@ -135,7 +130,7 @@ def tare(
         )
     if falling:
         np.negative(readings, out=readings)
-    readings[missing] = np.nan
+    readings[lost | glitches] = np.nan
     _fill_rest(readings, lost, off * noise)
     return Tared(
         readings, noise, np.ptp(levels, axis=0), in_contact, falling, int(glitches.sum()),
@@ -274,15 +269,17 @@ def at_rest(times: Array, in_contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _refined(
-    above: Array,
+    values: NDArray[np.number],
+    times: Array,
     edges: NDArray[np.intp],
     levels: Array,
     noise: Array,
     off: float,
     rest: NDArray[np.bool_],
 ) -> Array:
-    """Levels (b, t) with the mean added of the readings `above` (n, t) them that are within noise,
-    in frames at rest where a block has enough; interpolated for blocks with too few."""
+    """Levels (b, t) with the mean added of those of the `values` (n, t) that are within noise of
+    them, in frames at rest where a block has enough; interpolated for blocks with too few."""
+    above = values.astype(float) - _interpolated(times, edges, levels)
     out = np.empty(levels.shape)
     for k, (first, last) in enumerate(pairwise(edges)):
         near = np.abs(above[first:last]) <= off * noise

@@ -42,8 +42,14 @@ def no_warnings():
         yield
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("share", [1.0, 1.3])
+@pytest.mark.parametrize(
+    ("share", "method"),
+    [(1.3, method) for method in METHODS]
+    + [
+        pytest.param(1.0, method, marks=() if method == "joint" else pytest.mark.slow)
+        for method in METHODS
+    ],
+)
 def test_pressures_at_and_above_the_peak(world, noisy, share, method):
     recording, belief = noisy
     top = recording.pressure > 0.98 * recording.pressure.max()

@@ -24,7 +24,6 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import log_ndtr
 
-from ...contact import Patches
 from ...contact.reading import same_sheet
 from ...core.arrays import Array
 from ..data.measurements import Measurements
@@ -175,7 +174,7 @@ class Touches:
         saturated = data.pressure >= data.ends[data.taxel]
         self.void[data.contact[saturated], data.taxel[saturated]] = True
         self.across = np.cross(data.normals, data.directions)
-        self._patches: dict[float, Patches] = {}
+        self._contacts: dict[float, Contacts] = {}
 
     def blocks(
         self, unit: int, hypotheses: list[Hypothesis], errors: Errors, same_pairs: bool = False,
@@ -285,37 +284,32 @@ class Touches:
         self, offset: Array, contact: np.ndarray, log_modulus: float, group: np.ndarray | int = 0
     ) -> Array:
         """Levels (q,) of taxels of a group (q,), `offset` (q, 3), m, from their contacts."""
-        data, none = self.data, np.zeros((len(self.data.points), 0))
-        if self.skin is not None:
-            level = _learned_levels(self.skin, contact, offset, log_modulus, group)
-            return np.maximum(level, 0.0) / self.unit
-        if log_modulus not in self._patches:
+        contacts = self._contacts.get(log_modulus)
+        if contacts is None:
+            contacts = self._contacts[log_modulus] = self._contacts_at(log_modulus)
+        if (skin := self.skin) is None:
+            mean = disc_means(self.data.model.name, offset, contact, contacts, self.data.disc)[0]
+            level = np.maximum(mean, 0.0) * contacts.patches.peak[contact]
+        else:  # before gain, compression and offset
+            nuisance = np.zeros((len(contact), skin.nuisance.shape[1]))
+            likelihood, points = Likelihood(skin.data, Readings.none()), contacts.points[contact]
+            mean = likelihood.predict(contact, points + offset, nuisance, contacts, group)[0]
+            level = np.maximum(mean * skin.data.sigma, 0.0)
+        return np.asarray(level / self.unit)
+
+    def _contacts_at(self, log_modulus: float) -> Contacts:
+        """The contacts under E* times exp(log_modulus)."""
+        data = self.data
+        if self.skin is None:
             modulus = data.modulus * np.exp(log_modulus)
-            self._patches[log_modulus] = nominal_patches(
-                data.model, data.belief, data.force, data.curvature, modulus
-            )
-        patches = self._patches[log_modulus]
-        contacts = Contacts(data.points, data.normals, data.directions, patches, (), none, None)
-        mean = disc_means(data.model.name, offset, contact, contacts, data.disc)[0]
-        return np.asarray(np.maximum(mean, 0.0) * patches.peak[contact] / self.unit)
-
-
-def _learned_levels(
-    skin: CalibratedSkin, contact: np.ndarray, offset: Array, log_modulus: float,
-    group: np.ndarray | int,
-) -> Array:  # fmt: skip
-    """Levels (q,), Pa, of taxels of a group (q,), `offset` (q, 3), m, from their contacts (q,),
-    before gain, compression and offset, under E* times exp(log_modulus)."""
-    s = skin.s.copy()
-    s[skin.data.parameters.columns["modulus"]] += log_modulus
-    first, *others = (
-        replace(x, compression=0.0) for x in LinearizedContacts(skin.data, s).at(s).each
-    )
-    contacts = replace(first, others=tuple(others))
-    nuisance = np.zeros((len(contact), skin.nuisance.shape[1]))
-    likelihood = Likelihood(skin.data, Readings.none())
-    points = contacts.points[contact] + offset
-    return likelihood.predict(contact, points, nuisance, contacts, group)[0] * skin.data.sigma
+            patches = nominal_patches(data.model, data.belief, data.force, data.curvature, modulus)
+            none = np.zeros((len(data.points), 0))
+            return Contacts(data.points, data.normals, data.directions, patches, (), none, None)
+        s = self.skin.s.copy()
+        s[self.skin.data.parameters.columns["modulus"]] += log_modulus
+        each = LinearizedContacts(self.skin.data, s).at(s).each
+        first, *others = (replace(x, compression=0.0) for x in each)
+        return replace(first, others=tuple(others))
 
 
 def log_likelihoods(level: Array, mean: Array, c: Array, errors: Errors, threshold: float) -> Array:

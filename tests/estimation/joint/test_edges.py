@@ -129,7 +129,9 @@ def test_taxels_beside_an_edge_are_where_their_sigma_says(belief, seed):
     assert score.max() < 4.0
 
 
-@pytest.mark.parametrize("contact", ["auto", "elliptic", "layered"])
+@pytest.mark.parametrize(
+    "contact", ["auto", pytest.param("elliptic", marks=pytest.mark.slow), "layered"]
+)
 def test_taxels_beside_an_edge_under_a_contact_model(belief, contact):
     """None was left out of the estimates that were 18 standard deviations off without a deviation
     of the readings over the edge."""

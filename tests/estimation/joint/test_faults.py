@@ -40,8 +40,14 @@ def test_a_sound_recording_has_no_faults_and_fits(clean):
     assert "fits" in found.fit.words
 
 
-@pytest.mark.parametrize("noise", [0.01, None])
-@pytest.mark.parametrize("share", [0.02, 0.2])
+@pytest.mark.parametrize(
+    ("share", "noise"),
+    [
+        (0.02, None),
+        (0.2, 0.01),
+        *(pytest.param(*k, marks=pytest.mark.slow) for k in ((0.02, 0.01), (0.2, None))),
+    ],
+)
 def test_outlying_readings(world, clean, change, share, noise):
     recording, _, reference, _ = clean
     rng = np.random.default_rng(5)

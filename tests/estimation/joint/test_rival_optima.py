@@ -117,7 +117,7 @@ def test_rivals_are_saved(line, tmp_path):
     assert np.array_equal(again.rivals, calibration.rivals, equal_nan=True)
 
 
-@pytest.mark.parametrize("thickness", [3.0, 5.0])
+@pytest.mark.parametrize("thickness", [3.0, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_taxels_of_a_plate_are_estimated_on_their_own_face(noisy, tmp_path, thickness):
     box = trimesh.creation.box((50, 40, thickness))
     for _ in range(3):

@@ -54,7 +54,7 @@ class Sliding:
         return path.at(time)[0], None
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in (2, 3))])
 def test_a_few_touches_do_not_move_the_clock_by_seconds(seed):
     """Beside the touches the robot stands still, so that the contacts would spread least there."""
     rng, step = np.random.default_rng(seed), 0.02

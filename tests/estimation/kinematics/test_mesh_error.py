@@ -27,7 +27,9 @@ def about(body):
     return hit, hit.distance
 
 
-@pytest.mark.parametrize("sides", [10, 14, 28])
+@pytest.mark.parametrize(
+    "sides", [14, *(pytest.param(k, marks=pytest.mark.slow) for k in (10, 28))]
+)
 def test_the_error_of_a_coarse_mesh_is_a_plausible_one(sides):
     """Of a uniform distribution no value is beyond sqrt(3) standard deviations."""
     body = tube(sides)

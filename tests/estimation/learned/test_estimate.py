@@ -122,7 +122,9 @@ def errors(calibration):
     return np.sqrt(np.mean(off**2)), np.sqrt(np.mean(stated))
 
 
-@pytest.mark.parametrize(("wave", "noise"), [(0.05, 0.01), (0.1, 0.02)])
+@pytest.mark.parametrize(
+    ("wave", "noise"), [pytest.param(0.05, 0.01, marks=pytest.mark.slow), (0.1, 0.02)]
+)
 def test_unmeasured_forces_whose_errors_neighbouring_contacts_share(wave, noise):
     felt = FORCE * (1 + wave * np.sin(0.1 * np.arange(500)))[:, None]
     points, _, *readings = world(lambda r, _: hertz(r, felt), noise=noise)

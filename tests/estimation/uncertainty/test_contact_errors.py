@@ -327,7 +327,7 @@ def test_motions_of_an_egg_are_counted(shifted):
     assert np.max(np.divide(true, stated)) < 4.0**2
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 def test_scatter_off_a_nearly_flat_patch_is_no_change_of_scale(seed):
     """Heights above the middle that hold the scatter would explain it, by a body of no size."""
     body, rng = ms.Body.sphere(0.5), np.random.default_rng(seed)
