@@ -23,6 +23,7 @@ from ..core.errors import ConfigError, ContactError, MeshError
 from ..core.progress import Progress, Stage
 from ..core.se3 import orthonormal_basis, transform
 from ..geometry.body import Body
+from ..robot.accessibility import free_rays
 from ..scene.scene import Scene
 from ..scene.settings import Law, Loop
 from ..skin.skin import Skin
@@ -215,5 +216,5 @@ def visible(body: Body, points: Array, normals: Array) -> NDArray[np.bool_]:
     start, out = points + 1e-4 * body.surface.scale * normals, np.zeros(len(points), dtype=bool)
     for way in ways:
         front = np.flatnonzero(~out & (normals @ way > GRAZING))
-        out[front] = body.free_rays(start[front], way)
+        out[front] = free_rays(body, start[front], way)
     return out

@@ -149,7 +149,7 @@ class Body(Value, Card):
         if not (np.isfinite(o).all() and np.isfinite(d).all() and np.all(length > 0)):
             raise MeshError("rays must be finite, and directions not zero")
         d /= length[:, None]
-        centre, scale, scene = self._ray_scene
+        centre, scale, scene = self.embree_scene
         start = np.ascontiguousarray((o - centre) / scale, dtype=np.float32)
         first = np.asarray(scene.run(start, d.astype(np.float32)), dtype=np.intp)
         rows = np.flatnonzero(first >= 0)
@@ -165,17 +165,8 @@ class Body(Value, Card):
             spread[name][rows] = values
         return Closest(**spread)
 
-    def free_rays(self, origins: Array, directions: Array) -> NDArray[np.bool_]:
-        """Whether (n,) rays from `origins` (n, 3), m, along unit vectors `directions` (n, 3), or one
-        (3,), meet nothing (embree, single precision).
-        """
-        centre, scale, scene = self._ray_scene
-        start = ((origins - centre) / scale).astype(np.float32)
-        along = np.broadcast_to(directions, start.shape).astype(np.float32)
-        return np.asarray(scene.run(start, along)) < 0
-
     @cached_property
-    def _ray_scene(self) -> tuple[Array, float, Any]:
+    def embree_scene(self) -> tuple[Array, float, Any]:
         """Centre and extent of the mesh, m, and the embree scene of it, scaled by them."""
         vertices = self.surface.vertices
         centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))

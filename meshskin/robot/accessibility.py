@@ -30,12 +30,22 @@ def enclosed(body: Body, points: Array, normals: Array, radius: float) -> NDArra
     for part in (0.5, 0.0):
         for direction in spread_directions(DIRECTIONS):
             start = centres[held] + part * ahead[held, None] * normals[held]
-            rows = np.flatnonzero(body.free_rays(start, direction))  # much faster than the sphere
+            rows = np.flatnonzero(free_rays(body, start, direction))  # much faster than the sphere
             length = free_lengths(body, start[rows], np.tile(direction, (len(rows), 1)), radius)
             held = np.delete(held, rows[np.isinf(length)])
     out = np.zeros(len(points), dtype=bool)
     out[held] = True
     return out
+
+
+def free_rays(body: Body, origins: Array, directions: Array) -> NDArray[np.bool_]:
+    """Whether (n,) rays from `origins` (n, 3), m, along unit vectors `directions` (n, 3), or one
+    (3,), meet nothing of the body (embree, single precision).
+    """
+    centre, scale, scene = body.embree_scene
+    start = ((origins - centre) / scale).astype(np.float32)
+    along = np.broadcast_to(directions, start.shape).astype(np.float32)
+    return np.asarray(scene.run(start, along)) < 0
 
 
 def spread_directions(count: int) -> Array:
