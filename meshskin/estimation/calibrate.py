@@ -27,6 +27,7 @@ from .joint.departures import MIN_SCORE
 from .joint.optimum import Optimum
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .learned import estimate as learned
+from .learned.start import Former
 from .result import EstimatorResult
 from .trilateration import coactivation, eq15, trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
@@ -50,9 +51,12 @@ square that scales the covariance is then known to about 2 / sqrt(2 * 240) = 9 %
 class Estimation:
     """The estimators on one recording under one belief; what they share is computed once."""
 
-    def __init__(self, recording: Recording, belief: Belief, start: Array | None = None) -> None:
-        """start: positions (n, 3), m, at which the joint estimate begins, NaN where not known.
-        Raises as `calibrate`."""
+    def __init__(
+        self, recording: Recording, belief: Belief, start: Array | None = None,
+        former: Former | None = None,
+    ) -> None:  # fmt: skip
+        """start: positions (n, 3), m, at which the joint estimate begins, NaN where not known;
+        former: at which one with a learned response begins. Raises as `calibrate`."""
         begin = time.perf_counter()
         check_type(Recording, recording, "what is calibrated")
         if not hasattr(belief, "taxel_ids"):
@@ -62,6 +66,7 @@ class Estimation:
             )  # fmt: skip
         self.data, self._out_of_range = gather_or_learn(recording, belief)
         self.recording, self.belief, self.start = recording, belief, start
+        self.former = former  # of the estimate made last, once there is one
         self._displacements: dict[Trilateration, Displacements] = {}
         self._seconds = time.perf_counter() - begin
 
@@ -76,6 +81,7 @@ class Estimation:
         """The calibration by a method; arguments and errors as `calibrate`."""
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         found, result = self._estimated(method, tolerance, iterations, stage=stage)
+        self.former = result.former if isinstance(result.former, Former) else None
         begin, places = time.perf_counter(), SecondPlaces(self.data, found)
         found = places.widened()
         verdict = judge(self.recording, self._near, found, result.departures, places.findings())
@@ -178,7 +184,7 @@ class Estimation:
         fails by itself, which no response mends.
         """
         if self.data.learned:
-            return learned.estimate(self.data, stage)
+            return learned.estimate(self.data, stage, self.former)
         try:
             found = maximum_likelihood.optimum(
                 self.data, self._initial, iterations, tolerance, self.least_squares, stage
@@ -221,7 +227,7 @@ class Estimation:
             return None
         try:
             data = gather(self.recording, replace(self.belief, contact=LEARNED))
-            return learned.estimate(data, stage)
+            return learned.estimate(data, stage, self.former)
         except (CalibrationError, ContactError):
             return None
 

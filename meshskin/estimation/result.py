@@ -303,6 +303,8 @@ class EstimatorResult(EstimateDetails):
     """Displacement (3,), m, of the contacts from one on, where the readings show one."""
     restarted: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Rows of taxels that were started again from the centroid of their contacts."""
+    former: object = None
+    """What an estimate of the same taxels can begin from (learned/start.py); None: nothing."""
 
     @property
     def found(self) -> np.ndarray:

@@ -662,7 +662,8 @@ def test_a_skin_that_yields_holds_the_force_under_its_limit():
 def test_the_optimum_is_reached_along_a_valley_of_compression_and_profile(script):
     from meshskin.core.progress import Stage
     from meshskin.estimation.data.gather import gather
-    from meshskin.estimation.learned.estimate import _begin, with_learned_response
+    from meshskin.estimation.learned.estimate import with_learned_response
+    from meshskin.estimation.learned.start import begin
     from meshskin.estimation.trilateration import trilaterate
 
     log, believed, _ = script("speed/joint").world(300)
@@ -670,7 +671,7 @@ def test_the_optimum_is_reached_along_a_valley_of_compression_and_profile(script
     start, live = trilaterate.least_squares(data), np.arange(300)
 
     def optimum(s):
-        effects = _begin(with_learned_response(data, start.points), live, start, Stage())
+        effects = begin(with_learned_response(data, start.points), live, start, Stage())
         effects.move(replace(effects.unknowns, s=np.asarray(s)))
         assert effects.converge()
         return effects

@@ -29,9 +29,10 @@ from ...recording.skin_log import SkinLog
 from ...robot.contact_kinematics import ContactKinematics, JointPath
 from ...scene.belief import RAW, Belief
 from ...scene.contact_motion import ContactMotion
-from ..calibrate import calibrate
+from ..calibrate import Estimation
 from ..calibration import Calibration
 from ..data.patch_shape import fitting, over_patches
+from ..learned.start import Former
 from .clock import first_offset
 from .heights import Heights, depths, surface_heights, timed_by_the_fastest
 from .joint_residuals import joint_residuals
@@ -147,13 +148,15 @@ def _last_round(
     used, clock, heights, x = _started(log, kinematics, path, belief, reference)
     rounds, moved, shift = 0, np.inf, np.inf
     last: _Round | None = None
+    former: Former | None = None
     noise = belief.noise_sigma if belief.readings == RAW else None
     while rounds < MAX_ROUNDS and (moved > LINEAR or shift > APART):
         known = replace(belief, surface_sigma=heights.mesh_error.sigma, noise_sigma=noise)
         try:
-            found, recording, values, (shift, moved) = _estimated(
-                used, heights, x, known, reference, progress
+            found, recording, values, (shift, moved), former = _estimated(
+                used, heights, x, known, reference, progress, former
             )
+            former = former if moved < APART else None
             x = heights.with_depth(values)
             last = _Round(found, recording, heights, x, clock, shift, moved)
             rounds += 1
@@ -181,10 +184,12 @@ def _estimated(
     belief: Belief,
     reference: float,
     progress: Progress | None,
-) -> tuple[Calibration, Recording, Array, tuple[float, float]]:
+    former: Former | None,
+) -> tuple[Calibration, Recording, Array, tuple[float, float], Former | None]:
     """The calibration with the contacts at x (K + 1,), their recording, the unknowns (K,) that it
     finds, and the median displacements, m, of the contacts with these: from where they were, and
-    from where the linear table put them."""
+    from where the linear table put them; and its estimate. former: that of the round before, if
+    this one can begin from it."""
     kinematics, path, time, s = heights.model, heights.path, heights.time, x[:-1]
     linear = heights.linearized(x)
     centres, slopes = kinematics.centres(path, time, s)
@@ -194,12 +199,13 @@ def _estimated(
     off = points + linear.residuals[:, None] * normals
     frames, force = np.arange(len(log.time)), _forces(log, reference)
     recording = recording_of(log, frames, off, normals, force, belief.readings)
-    found = calibrate(recording, _corrected(belief, kinematics, s, motion), progress=progress)
+    estimation = Estimation(recording, _corrected(belief, kinematics, s, motion), former=former)
+    found = estimation.calibrate(progress=progress)
     values = np.array([found.unknowns[label][0] for label in kinematics.labels])
     shift = kinematics.centres(path, time, values)[0] - centres
     moved = shift - slopes @ (values - s)
     apart, left = (float(np.median(np.linalg.norm(part, axis=1))) for part in (shift, moved))
-    return found, recording, values, (apart, left)
+    return found, recording, values, (apart, left), estimation.former
 
 
 def _clock_error(found: Calibration, log: SkinLog, shift: float) -> float:

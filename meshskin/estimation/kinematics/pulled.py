@@ -1,11 +1,12 @@
 """Unknowns of the robot that the readings move further than what was known before them allows.
 
-    d = s - s0,    |d_k| > FARTHEST sqrt(C_kk) of any unknown k
+    d = s - s0,    pull = max_k |d_k| / sqrt(C_kk)
 
 s0 (K,) and C (K, K) are the unknowns by the heights of the contacts and by what was believed of
 them. The readings may move the contacts along the body, as errors of forces and of the skin's
-response that are alike over it look like such a motion. Where d is farther than chance explains, no
-data tell which of the two is right: d is an error of the unknowns, and displaces all taxels.
+response that are alike over it look like such a motion. Where the pull is larger than chance
+explains, no data tell which of the two is right: d is an error of the unknowns, and displaces all
+taxels. Its share in their variances rises from 0 at a pull of USUAL to 1 at FARTHEST.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from ..calibration import Calibration
 from ..trilateration.displacements import surface_motion
 from ..uncertainty.observability import shape_operators
 
+USUAL = 2.5
+"""Pull up to which nothing is widened: sound logs had up to 2.1."""
 FARTHEST = 3.5
 """Standard deviations before the readings beyond which they contradict what was known: one of 20
 sound unknowns is with a probability of 1 %."""
@@ -48,13 +51,15 @@ def contradicted(calibration: Calibration) -> tuple[str, ...]:
 
 def widened(calibration: Calibration, recording: Recording) -> Calibration:
     """The calibration of a recording with the outer products of d, and of the displacements of the
-    taxels by d, added to the variances, where an unknown is contradicted; else as it is.
+    taxels by d, added to the variances by their share; as it is up to a pull of USUAL.
 
     A taxel is displaced as its contacts are in the mean, weighted by its readings.
     """
     d, before = pulls(calibration)
-    if not (np.abs(d) > FARTHEST * before).any():
+    share = np.clip((np.max(np.abs(d) / before) - USUAL) / (FARTHEST - USUAL), 0.0, 1.0)
+    if not share:
         return calibration
+    d = d * np.sqrt(share)
     motion, row = _motion(calibration), {taxel: k for k, taxel in enumerate(calibration.ids)}
     own = np.array([row.get(taxel, -1) for taxel in recording.reading_taxel])
     use = (own >= 0) & (recording.pressure > 0)

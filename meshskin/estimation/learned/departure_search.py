@@ -92,7 +92,7 @@ def with_departures(
     unlikely, failed, lost = set[str](), set(excluded), set[str]()
     spent, settled = 0, True
     while True:
-        found = _scores(effects)
+        found = scores(effects)
         left = {name: score for name, (score, _) in found.items() if name not in unlikely}
         shown = [name for name in left if left[name] > MIN_SCORE and name not in failed]
         if not shown or spent > MAX_SPENT:
@@ -212,7 +212,7 @@ def plausible(extended: RandomEffects, name: str) -> bool:
     return bool(small and np.all(np.abs(s) <= PRIOR_SIGMAS * sigma))
 
 
-def _scores(effects: RandomEffects) -> dict[str, tuple[float, Array]]:
+def scores(effects: RandomEffects) -> dict[str, tuple[float, Array]]:
     """`FittedReadings.scores` of the departures that are not estimated, and that of GROUPS."""
     estimated = {*effects.data.parameters.names, *effects.data.parameters.nuisance_names}
     fitted = effects.fitted()

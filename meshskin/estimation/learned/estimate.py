@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +23,6 @@ from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ...core.progress import Stage
 from ...scene.belief import RAW, Belief
-from .. import chart
 from ..data.global_parameters import (
     DRIFTS,
     ELECTRONICS,
@@ -36,6 +36,7 @@ from ..data.global_parameters import (
 from ..data.measurements import Measurements
 from ..data.patch_shape import over_edges
 from ..joint import fault_detection, outlier_rejection
+from ..joint.departures import MIN_SCORE
 from ..joint.joint_estimator import JointEstimator
 from ..joint.jump import Jump, jump_by_outliers, largest_jump
 from ..joint.parametrization import SurfaceParametrization, Unknowns
@@ -46,13 +47,13 @@ from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import EstimatorResult, LearnedResponse
 from ..trilateration import coactivation, trilaterate
 from .contact_kinds import contact_kinds
-from .departure_search import first_estimate, plausible, with_departures
-from .deviations import UNMEASURED_FORCE, Deviations
-from .estimated_response import response_levels
+from .departure_search import first_estimate, plausible, scores, with_departures
+from .deviations import Deviations
 from .modules import heights_of_taxels, moved_to_modules
 from .random_effects import MAX_DECREASE, MAX_ITERATIONS, RandomEffects
 from .response_groups import response_groups
 from .result import learned_result
+from .start import Former, begin, resumed
 
 MIN_EXTENT = 1.2
 """Least extent of the learned profile, in reaches of the believed patch."""
@@ -65,8 +66,6 @@ MARGIN = 1.15
 ROUND = 0.02
 """Logarithm of the ratio of a patch's semi-axes below which it is round: a ratio that is wrong by a
 quarter of it displaces its rim by less than 1 %."""
-STEP = 1e-3
-"""Longest move of a taxel in one step, m."""
 MAX_ROUNDS = 3
 """Largest number of times that outlying readings are left out and the rest is estimated again."""
 USUAL_STEPS = 30
@@ -80,16 +79,29 @@ MOVED = 0.02
 """Move of a taxel, in contact radii, from which it is at another optimum."""
 
 
-def estimate(data: Measurements, stage: Stage | None = None) -> EstimatorResult:
-    """The estimate with a learned response, from trilateration, or co-activation where it fails.
+def estimate(
+    data: Measurements, stage: Stage | None = None, former: Former | None = None
+) -> EstimatorResult:
+    """The estimate with a learned response, from trilateration, or co-activation where it fails;
+    from a former one of the same taxels, if that leads to an estimate.
 
     stage: whose steps are counted. Raises CalibrationError if no taxel is determined, the estimate
     does not converge, or the taxels are not arranged as in the believed modules.
     """
-    again: tuple[Measurements, tuple[str, ...]] | EstimatorResult = data, ()
+    if former is not None:
+        with suppress(CalibrationError):
+            return _estimate(former.without_misfits(data), former.excluded, stage, former)
+    return _estimate(data, (), stage, None)
+
+
+def _estimate(
+    data: Measurements, excluded: tuple[str, ...], stage: Stage | None, former: Former | None
+) -> EstimatorResult:
+    """As `estimate`."""
+    again: tuple[Measurements, tuple[str, ...]] | EstimatorResult = data, excluded
     try:
         while isinstance(again, tuple):  # no recursion, which would hold the memory of all
-            again = _attempt(*again, stage or Stage())
+            again = _attempt(*again, stage or Stage(), former)
         return again
     except (SingularMatrixError, np.linalg.LinAlgError) as error:
         raise _unconverged(f"its normal equations are singular: {error}", data.belief) from error
@@ -105,7 +117,7 @@ def _unconverged(value: str, belief: Belief) -> CalibrationError:
 
 
 def _attempt(
-    data: Measurements, excluded: tuple[str, ...], stage: Stage
+    data: Measurements, excluded: tuple[str, ...], stage: Stage, former: Former | None
 ) -> EstimatorResult | tuple[Measurements, tuple[str, ...]]:
     """As `estimate`, or the measurements and departures to exclude in another attempt;
     SingularMatrixError where normal equations are singular. excluded: departures that are not
@@ -117,18 +129,24 @@ def _attempt(
     start = coactivation.initial_estimate(data, trilaterate.least_squares(data))
     live, reasons = coactivation.live_taxels(data, start, stuck.rows)
     stage.expect(USUAL_STEPS)
-    effects = _begin(with_learned_response(data, start.points), live, start, stage)
-    weight, begin = np.ones(len(data.pressure)), (effects.unknowns, effects.deviations)
-    effects = first_estimate(effects)
+    data, weight = with_learned_response(data, start.points), np.ones(len(data.pressure))
+    if former is not None and former.serves(live):
+        effects, weight = resumed(data, live, former, stage), former.weight(data)
+        first = effects.unknowns, effects.deviations
+        effects.converge()
+    else:
+        effects, former = begin(data, live, start, stage), None
+        first = effects.unknowns, effects.deviations
+        effects = first_estimate(effects)
     settled = len(effects.iterates) <= MAX_ITERATIONS
     if len(bad := _displaced(effects, recorded, LAGGING)):  # departures would stand in for them
         return recorded.without_contacts(bad), excluded
-    effects, departures, ended = with_departures(effects, begin, excluded)
-    frozen = _frozen(effects, live, weight)
+    effects, departures, ended = _searched(effects, first, excluded, former)
+    frozen = _frozen(effects, live, np.ones(len(weight)))
     if _lacks(effects, frozen):
         effects = _restarted(effects, frozen)
         effects.converge()
-        frozen = _frozen(effects, live, weight)
+        frozen = _frozen(effects, live, np.ones(len(weight)))
     if ended and len(bad := _displaced(effects, recorded)):
         return recorded.without_contacts(bad), excluded
     for repeated in range(MAX_ROUNDS if ended else 1):  # others would not bring it to rest
@@ -156,10 +174,26 @@ def _attempt(
     fitted = effects.fitted()
     jump, kinds = largest_jump(fitted), contact_kinds(effects)
     jump = max(jump, _jump_without_errors(effects, live), key=lambda jump: jump.score)
+    former = Former(effects, estimator, departures, ended, excluded)
     departures = {**response_groups(fitted).departure, **departures, **found.departures}
     departures |= jump.departure | kinds.departure
     displaced = max(jump.shown, kinds.shown, key=np.linalg.norm)
-    return replace(found, departures=departures, jump=displaced)
+    return replace(found, departures=departures, jump=displaced, former=former)
+
+
+def _searched(
+    effects: RandomEffects,
+    first: tuple[Unknowns, Deviations],
+    excluded: tuple[str, ...],
+    former: Former | None,
+) -> tuple[RandomEffects, dict[str, float], bool]:
+    """As `with_departures`; what a former search found holds unless others show now."""
+    if former is not None:
+        before = former.departures
+        found = {name: score for name, (score, _) in scores(effects).items() if name in before}
+        if all(score <= MIN_SCORE or before[name] > MIN_SCORE for name, score in found.items()):
+            return effects, found, former.ended
+    return with_departures(effects, first, excluded)
 
 
 def _displaced(effects: RandomEffects, recorded: Measurements, least: float = 0.0) -> np.ndarray:
@@ -233,36 +267,6 @@ def as_learned(
         ends=data.ends * scale,
         unit=response.unit,
     )
-
-
-def _begin(
-    data: Measurements, live: np.ndarray, start: EstimatorResult, stage: Stage
-) -> RandomEffects:
-    """The estimate at its start."""
-    height = 0.0 if data.heights is None else data.heights[live]
-    charts = chart.charts_at(data.body, start.points[live], start.rotations[live], height)
-    s, nuisance = data.parameters.start(), np.zeros((len(live), 2))
-    if start.modulus is not None and data.unit == 1.0:
-        s[data.parameters.columns["modulus"]] = np.log(start.modulus / data.modulus)
-    for column, (name, unit) in enumerate({"gain": 1.0, "offset": data.sigma}.items()):
-        if name in start.taxel_unknowns:
-            nuisance[:, column] = np.nan_to_num(start.taxel_unknowns[name][live, 0]) / unit
-    places = SurfaceParametrization.of(data, live, charts, STEP)
-    unknowns = Unknowns(places, nuisance, np.zeros((len(data.points), 3)), s)
-    weight = np.ones(len(data.pressure))
-    readings = select(data, live, charts.points, charts.normals, 0.0, weight, np.ones(len(live)))
-    noise = 1.0 if data.belief.noise_sigma is not None else _first_noise(start, data)
-    data = replace(data, response_levels=response_levels(data, readings, unknowns))
-    deviations = Deviations(noise=noise)
-    if not data.force_measured:
-        deviations = replace(deviations, least_force=UNMEASURED_FORCE)
-    return RandomEffects(data, readings, unknowns, deviations, stage=stage)
-
-
-def _first_noise(start: EstimatorResult, data: Measurements) -> float:
-    if start.fit is None or not np.isfinite(start.fit.noise):
-        return 1.0
-    return max(start.fit.noise / data.sigma, fault_detection.MIN_SCALE)
 
 
 def _jump_without_errors(effects: RandomEffects, live: np.ndarray) -> Jump:

@@ -8,7 +8,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.errors import CalibrationError, ConfigError, RecordingError
-from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.calibrate import Estimation, calibrate
 from meshskin.estimation.kinematics import calibrate_log as log_module
 from meshskin.estimation.kinematics.calibrate_log import calibrate_log
 from meshskin.estimation.kinematics.clock import first_offset
@@ -149,7 +149,7 @@ def rounds_that(monkeypatch, *given):
         end = next(ends)
         if isinstance(end, Exception):
             raise end
-        return found, "recording", end, (1e-5, end)
+        return found, "recording", end, (1e-5, end), None
 
     monkeypatch.setattr(log_module, "_started", lambda *args: ("log", 0.0, heights, 0.0))
     monkeypatch.setattr(log_module, "_estimated", estimated)
@@ -178,9 +178,9 @@ def test_the_round_before_one_that_failed_is_a_doubt(small, monkeypatch):
         calls.append(args)
         if len(calls) > 1:
             raise CalibrationError("no end")
-        return calibrate(*args, **kwargs)
+        return Estimation(*args, **kwargs)
 
-    monkeypatch.setattr(log_module, "calibrate", failing)
+    monkeypatch.setattr(log_module, "Estimation", failing)
     monkeypatch.setattr(log_module, "_clock_error", lambda *args: 0.0)
     found = calibrate_log(small.log, small.kinematics(**KNOWN), belief(small))
     assert found.calibration.verdict.level == "DOUBT"

@@ -8,7 +8,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.se3 import hat
-from meshskin.estimation.kinematics.pulled import FARTHEST, contradicted, pulls, widened
+from meshskin.estimation.kinematics.pulled import FARTHEST, USUAL, contradicted, pulls, widened
 from meshskin.scene.contact_motion import ContactMotion
 
 AXIS = np.array([0.6, 0.0, 0.8])
@@ -44,10 +44,28 @@ def turned(world, *angles):
 
 
 def test_an_unknown_that_the_readings_move_by_chance_widens_nothing(world):
-    found = turned(world, 0.99 * FARTHEST * 0.01, -0.99 * FARTHEST * 0.005)
+    found = turned(world, 0.99 * USUAL * 0.01, -0.99 * USUAL * 0.005)
     np.testing.assert_allclose(pulls(found)[1], [0.01, 0.005])
     assert widened(found, world.recording) is found  # although both are far from zero
     assert contradicted(found) == ()
+
+
+def test_a_pull_between_chance_and_contradiction_displaces_the_taxels_by_its_share(world):
+    far, pull = turned(world, 1.001 * FARTHEST * 0.01, 0.0), (USUAL + FARTHEST) / 2
+    found = turned(world, pull * 0.01, 0.0)
+    assert contradicted(found) == ()
+    assert contradicted(far) != ()
+    known = np.isfinite(found.covariances)
+    added, most = (
+        widened(one, world.recording).covariances[known] - one.covariances[known]
+        for one in (found, far)
+    )
+    np.testing.assert_allclose(added, most * (pull / FARTHEST) ** 2 / 2, rtol=5e-3, atol=1e-15)
+    value, sigma = widened(found, world.recording).unknowns["joint_offset a"]
+    assert (value, sigma) == (
+        pytest.approx(0.1 + pull * 0.01),
+        pytest.approx(np.hypot(pull * 0.01 / np.sqrt(2), 1e-3)),
+    )
 
 
 def test_an_unknown_that_the_readings_move_further_displaces_the_taxels(world):

@@ -43,7 +43,7 @@ def searched(monkeypatch, scores, trial, steps=0):
 
     monkeypatch.setattr(
         departure_search,
-        "_scores",
+        "scores",
         lambda effects: {name: (score, np.zeros(1)) for name, score in scores.items()},
     )
     monkeypatch.setattr(departure_search, "_with_departure", with_departure)

@@ -9,8 +9,9 @@ from meshskin.core.progress import Stage
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint.pressure import OBSERVED
 from meshskin.estimation.learned import first_response
-from meshskin.estimation.learned.estimate import _begin, with_learned_response
+from meshskin.estimation.learned.estimate import with_learned_response
 from meshskin.estimation.learned.first_response import _part, with_first_response
+from meshskin.estimation.learned.start import begin
 from meshskin.estimation.trilateration import trilaterate
 
 from .test_estimate import TAXELS, TRUTH, belief, bell, recording, world
@@ -25,7 +26,7 @@ def started():
 
     def make():
         response = with_learned_response(data, TRUTH)
-        return _begin(response, np.arange(TAXELS), start, Stage())
+        return begin(response, np.arange(TAXELS), start, Stage())
 
     return make
 
