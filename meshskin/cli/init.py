@@ -117,8 +117,8 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
         "",
         "[indenter]",
         *(f"# {one}" for one in found),
-        f"radius_mm = {1e3 * best.radius:g}  # reaches {best.share:.0%} of the visible surface; the "
-        f"largest of these that reaches {NEARLY:.0%} of what the best one does",
+        f"radius_mm = {1e3 * best.radius:g}  # reaches {best.share:.0%} of what is visible: "
+        f"the largest of these that reaches {NEARLY:.0%} of what the best one does",
         "",
         "[law]",
         f"force_reference_n = {_force(best):g}  # {_why(best)}",
