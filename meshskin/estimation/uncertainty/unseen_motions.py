@@ -15,10 +15,10 @@ from ..data.measurements import Measurements
 from .contact_errors import SHIFT_SIGMAS, displacement, effective_variance
 
 LARGE = 0.3e-3
-"""Motion of the contact points, m rms, from which it is named if it is within SHIFT_SIGMAS of
-chance: an error that a map is not used with."""
+"""Motion of the contact points, m rms, that is named if it is within SHIFT_SIGMAS of chance: a
+larger error makes a map useless."""
 TURNED = 0.01
-"""Part of the points' motion by a turn up to which it is a displacement."""
+"""Largest part of a motion that is a turn, up to which the motion is called a displacement."""
 
 
 def unseen_motions(data: Measurements) -> tuple[str, ...]:
