@@ -23,6 +23,7 @@ import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
 from ...core.arrays import Array
+from ..result import SHARED_ERRORS
 from .departures import FittedReadings
 from .fault_detection import even
 from .noise import clear_of_limits
@@ -69,7 +70,7 @@ class SharedErrors:
     @property
     def departure(self) -> dict[str, float]:
         """The score by the name of the departure."""
-        return {f"errors that readings of contacts near one another {self.where} share": self.score}
+        return {SHARED_ERRORS.format(self.where): self.score}
 
     def beyond(self, added: Array, covariances: Array) -> dict[str, float]:
         """`departure` where the covariances (n, 2, 2) are doubtful with what was `added` (n, 2, 2)

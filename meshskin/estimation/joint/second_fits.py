@@ -3,7 +3,7 @@
 Accidents fit no place. Where the outlying readings of many taxels fit one each, contacts, times or
 ids were others in a part of the recording: taxels that were touched in both parts fit one of them
 and lose the readings of the other, and those that were touched in one part have no outlying reading
-and may be as far off. Which part is right, no reading tells.
+and may be as far off. No reading shows which part is right.
 """
 
 from __future__ import annotations

@@ -181,8 +181,8 @@ def _late(data: Measurements) -> list[Finding]:
     if change:
         words = (
             f"the readings are {_frames(data.delay)}, and from {part:.0%} of the recording on "
-            f"{_frames(data.delay + change)}: moved back by that, the contacts that each taxel "
-            "responds to lie closer together, and so they were used; look for frames that were "
+            f"{_frames(data.delay + change)}: without these delays the contacts that each taxel "
+            "responds to lie closer together, and they were removed; look for frames that were "
             "lost or doubled there, and correct the times of the readings"
         )
         return [(DOUBT, words)]
@@ -192,10 +192,10 @@ def _late(data: Measurements) -> list[Finding]:
     path = float(np.median(np.linalg.norm(moved, axis=1)))
     words = (
         f"the readings are {_frames(data.delay)}, in which the "
-        f"contact moves {1e3 * path:.2g} mm: moved back by that, the contacts that each taxel "
-        "responds to lie closer together, and so they were used; parts of a frame are counted in "
-        "the standard deviations; correct the times of the readings, unless the skin is dragged "
-        "along, which looks alike"
+        f"contact moves {1e3 * path:.2g} mm: without this delay the contacts that each taxel "
+        "responds to lie closer together, and it was removed; the standard deviations include a "
+        "delay of a part of a frame; correct the times of the readings, unless the skin is dragged "
+        "along, which has the same effect"
     )
     return [(DOUBT, words)]
 
@@ -252,7 +252,7 @@ def _priors(data: Measurements, calibration: Calibration) -> list[Finding]:
             words = (
                 f"{label} is {value:.3g}, {apart:.3g} standard deviations of its prior, "
                 f"{sigma:.3g}, from zero (limit {PRIOR_SIGMAS:g}): another error of the log may "
-                "stand behind it; check poses and times, or widen the prior (belief.priors)"
+                "be the cause; check poses and times, or widen the prior (belief.priors)"
             )
             found.append((DOUBT, words))
     return found
@@ -277,8 +277,8 @@ def _surface(data: Measurements, points: Array) -> list[Finding]:
         extra = f", turned about the body's middle by ({turn}) degrees"
         extra += f" and scaled by {1 - best.stretch:.4g}" if best.stretch else ""
     words = (
-        f"contact points lie {1e3 * typical:.3g} mm {where} in the median, and on it best if moved "
-        f"by ({', '.join(f'{-1e3 * x:.2g}' for x in move)}) mm{extra} (limit "
+        f"contact points lie {1e3 * typical:.3g} mm {where} in the median, and nearest to it if "
+        f"moved by ({', '.join(f'{-1e3 * x:.2g}' for x in move)}) mm{extra} (limit "
         f"{1e3 * SURFACE_DEPTHS[0] * depth:.2g} mm, a tenth of the indentation): check the body's "
         "scale and frame, the indenter's position and its radius"
     )
@@ -341,6 +341,6 @@ def _contacts(data: Measurements, calibration: Calibration) -> list[Finding]:
         f"alike (correlation {response.contact_correlation:.2f}, limit {MAX_CORRELATION:g}): this "
         "is not scatter, but an error of the kinematic model or of the clocks; "
         f"{declare + ', or ' * bool(declare)}correct the times; the standard deviations are "
-        "widened by what so many contacts alike are worth"
+        "widened for this correlation"
     )
     return [(DOUBT, words)]

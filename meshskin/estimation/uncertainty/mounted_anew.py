@@ -75,9 +75,9 @@ def findings(data: Measurements, points: Array) -> list[Finding]:
         return []
     words = (
         f"the body or the indenter has moved in the course of the recording, at about "
-        f"{found.part:.0%} of it: displaced alike, the contact points lie "
-        f"{1e3 * found.one**0.5:.2g} mm off the believed surface (rms), and those from there on "
+        f"{found.part:.0%} of it: with one displacement of all contact points these lie "
+        f"{1e3 * found.one**0.5:.2g} mm off the believed surface (rms); if those from there on are "
         f"displaced by another {1e3 * found.apart:.1g} mm, {1e3 * found.two**0.5:.2g} mm (limit: "
-        f"{BETTER**0.5:g} times nearer); calibrate both parts by themselves, or record anew"
+        f"{BETTER**0.5:g} times nearer); calibrate the parts one by one, or record again"
     )
     return [(DOUBT, words)]

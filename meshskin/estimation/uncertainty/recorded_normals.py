@@ -46,8 +46,8 @@ def findings(recording: Recording, data: Measurements) -> list[Finding]:
     turn, axis = least_turn(hit.normal, normals)
     if (level := level_of(-turn, NORMAL_TURNS)) != PASS:
         words = (
-            f"from contact to contact, recorded normals turn {turn:.2g} times as the believed "
-            f"surface's along ({', '.join(f'{x:.2g}' for x in axis)}) (limit "
+            f"recorded normals turn {turn:.2g} times as much from contact to contact as those of "
+            f"the believed surface, along ({', '.join(f'{x:.2g}' for x in axis)}) (limit "
             f"{-NORMAL_TURNS[0]:g}): check the signs and the order of the axes of contacts and body"
         )
     elif (level := level_of(typical, NORMAL_ANGLES)) != PASS:
