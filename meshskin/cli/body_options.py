@@ -25,16 +25,16 @@ def add(parser: Any) -> None:
     """Add the options to a parser or a group of one."""
     parser.add_argument(
         "--units",
-        help="unit of the mesh: m, cm, mm or in; glTF, Collada and URDF files say it, `check` and "
-        "`init` tell it from the size of others",
+        help="unit of the mesh: m, cm, mm or in; glTF, Collada and URDF files state theirs, and "
+        "`check` and `init` infer that of other files from the size",
     )
     parser.add_argument(
         "--open", action="store_true", default=None, help="accept an open mesh, with borders"
     )
     parser.add_argument(
         "--link",
-        help="link whose mesh is taken from the URDF file; of calibrate with a mesh, the link in "
-        "whose frame the map is exported",
+        help="link whose mesh is taken from the URDF file; with a mesh file, `calibrate` exports "
+        "the map in the frame of this link",
     )
     parser.add_argument(
         "--folder",

@@ -60,8 +60,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--iterations", type=integer(1), metavar="N", help="iteration limit of the joint estimate"
     )
     parser.add_argument(
-        "--cross-validate", type=integer(2), metavar="FOLDS", help="hold out contacts in FOLDS "
-        "folds and localize them by the skin calibrated on the others: a calibration per fold",
+        "--cross-validate", type=integer(2), metavar="FOLDS", help="split the contacts in "
+        "FOLDS folds, and locate those of each by a skin calibrated on the others",
     )  # fmt: skip
     export_options.add(parser)
     parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")

@@ -32,7 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "of --link of a URDF, or else of the mesh",
     )  # fmt: skip
     export.add_argument(
-        "--export-format", metavar="FORMAT", help="whatever the suffix: urdf_tactile"
+        "--export-format", metavar="FORMAT", help="format of --export: urdf_tactile"
     )
     export.add_argument(
         "--transform", type=real(), nargs=6, metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),

@@ -1,8 +1,9 @@
 """`meshskin init FILE`: write a commented scene for a mesh, or a map for a robot's log.
 
-For a mesh, or a link of a URDF file, a scene file: unit, borders, patches, size of the skin and an
-indenter that reaches most of the surface are found out and stated with their reasons. For a log,
-the map of its streams, with what else each could be. Both are starting points, to be edited.
+For a mesh, or a link of a URDF file, FILE gives a scene. The unit, the borders, the size and the
+place of the skin, the indenter, the force and the lanes are chosen; the file and the terminal give
+the reason for each. For a log, the map of its streams is written, with what else each could be.
+Both are starting points, to be edited.
 """
 
 from __future__ import annotations
@@ -70,13 +71,16 @@ def command(options: argparse.Namespace) -> int:
         refuse(options, body_options.NAMES, f"{{}} is for a mesh, got {file.name}")
     text, run = scene(options, out) if is_body else log_map(file, out)
     write_text(out, text)
+    for line in text.splitlines():
+        if "  # " in line and not line.startswith("#"):
+            print(f"  {line}")
     print(f"{out}: {'scene' if is_body else 'map'} written; edit it, then\n  {run}")
     return 0
 
 
 def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
     """The text of a scene for the mesh or link of the options, and the command that runs it."""
-    from ..exploration.reach import reach, recommended
+    from ..exploration.reach import NEARLY, reach, recommended
     from ..skin.files.table import DISC_RADIUS
 
     why = body_options.settle_units(options.file, options)
@@ -86,6 +90,7 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
         found = reach(body, RADII, progress=progress)
     best = recommended(found)
     count = _count(body, whole)
+    direction = _direction(body, count, best)
     where = os.path.relpath(options.file.resolve(), out.resolve().parent)
     lines = [
         f"# A scene for {options.file.name}, proposed by `meshskin init`. Keys name their unit.",
@@ -98,10 +103,11 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
         *_urdf(options),
         "",
         "[skin]",
-        f"spacing_mm = {1e3 * SPACING:g}",
-        f"count = {count}  # without it: all of the body or region, about {whole}",
+        f"spacing_mm = {1e3 * SPACING:g}  # that of the paper's skin",
+        f"count = {count}  # about the {'direction' if direction else 'top'}; without it: all of "
+        f"the body or region, about {whole}",
         f"disc_radius_mm = {1e3 * DISC_RADIUS:g}",
-        *_direction(body, count, best),
+        *direction,
         *_patches(body),
         "",
         "[material]",
@@ -111,10 +117,11 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
         "",
         "[indenter]",
         *(f"# {one}" for one in found),
-        f"radius_mm = {1e3 * best.radius:g}",
+        f"radius_mm = {1e3 * best.radius:g}  # reaches {best.share:.0%} of what is visible: "
+        f"the largest of these that reaches {NEARLY:.0%} of what the best one does",
         "",
         "[law]",
-        f"force_reference_n = {_force(best):g}",
+        f"force_reference_n = {_force(best):g}  # {_why(best)}",
         "",
         "[exploration]",
         f"lane_spacing_mm = {_lanes(best):.1f}  # half the reach of a contact on a taxel",
@@ -189,6 +196,15 @@ def _force(best: Reach) -> float:
     """The contact force, N, rounded down to two digits."""
     scale = 10.0 ** (math.floor(math.log10(best.force)) - 1)
     return math.floor(best.force / scale + 1e-9) * scale
+
+
+def _why(best: Reach) -> str:
+    """The reason for the contact force."""
+    from ..scene.settings import Law
+
+    usual = Law().force_reference
+    less = f"with {usual:g} N the patch is too wide for a contact model"
+    return less if best.force < usual else "the default"
 
 
 def _lanes(best: Reach) -> float:

@@ -63,7 +63,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def add_page(group: argparse._ArgumentGroup) -> None:
     """Add the options of the page."""
     group.add_argument(
-        "--speed", type=real(above=0.0), metavar="X", help="times real time (default 1)"
+        "--speed", type=real(above=0.0), metavar="X", help="speed relative to real time (default 1)"
     )
     group.add_argument(
         "--target-mm", type=real(above=0.0), metavar="MM", help="standard deviation of a "

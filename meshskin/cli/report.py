@@ -1,8 +1,8 @@
 """`meshskin report FOLDER`: write the report page of a run or a calibration again.
 
-FOLDER is the one that `meshskin run` or `meshskin calibrate` wrote. Its calibration and metrics are
-read, nothing is estimated anew but, of a run, the other methods that the page compares. What the
-page needs besides is found by metrics.json, or by the options where it has moved.
+FOLDER is the one that `meshskin run` or `meshskin calibrate` wrote. The page is made from its
+calibration and metrics; only the other methods that the page of a run compares are estimated again.
+metrics.json names the scene, recording and body; give the options for those that were moved.
 """
 
 from __future__ import annotations

@@ -52,18 +52,16 @@ class Estimation:
     """The estimators on one recording under one belief; what they share is computed once."""
 
     def __init__(
-        self, recording: Recording, belief: Belief, start: Array | None = None,
-        former: Former | None = None,
+        self, recording: Recording, belief: Belief,
+        start: Array | None = None, former: Former | None = None,
     ) -> None:  # fmt: skip
         """start: positions (n, 3), m, at which the joint estimate begins, NaN where not known;
         former: at which one with a learned response begins. Raises as `calibrate`."""
         begin = time.perf_counter()
         check_type(Recording, recording, "what is calibrated")
         if not hasattr(belief, "taxel_ids"):
-            raise CalibrationError(
-                "no belief", value=type(belief).__name__,
-                remedy="give what the robot's owner knows: scene.belief()",
-            )  # fmt: skip
+            remedy = "give what the robot's owner knows: scene.belief()"
+            raise CalibrationError("no belief", value=type(belief).__name__, remedy=remedy)
         self.data, self._out_of_range = gather_or_learn(recording, belief)
         self.recording, self.belief, self.start = recording, belief, start
         self.former = former  # of the estimate made last, once there is one

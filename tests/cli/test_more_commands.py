@@ -57,7 +57,11 @@ def mesh(tmp_path, monkeypatch):
 
 def test_init_writes_a_scene_that_loads(mesh, tmp_path, capsys):
     assert cli.main(["init", "handle.stl"]) == 0
-    assert "meshskin run handle.toml" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "meshskin run handle.toml" in said
+    for key in ("units", "spacing_mm", "count", "radius_mm", "force_reference_n"):
+        assert len([line for line in said.splitlines() if f"  {key} = " in line]) == 1
+    assert "about the top" in said
     scene = ms.Scene.load("handle.toml")
     np.testing.assert_allclose(scene.body.mesh.extents, [0.06, 0.06, 0.16], rtol=0.02)
     assert len(scene.skin) == 80

@@ -215,7 +215,7 @@ class LinearizedContacts:
         )
 
     def _moved(self, fixed: Contacts, s: Array) -> Contacts:
-        """The contacts where s (ks,) puts them, from where they were linearized."""
+        """The contacts at s (ks,), moved from the point of linearization."""
         gradients, height = self.gradients, self._heights(s)
         assert gradients is not None
         k = self.data.curvature
@@ -332,7 +332,7 @@ class LinearizedContacts:
         return np.maximum(self._scaled(s) + offset, 0.01 * self.recorded.force)
 
     def _scaled(self, s: Array) -> Array:
-        """True forces (m,), N, but for their offset."""
+        """True forces (m,), N, without their offset."""
         s = self._clipped(s)
         log_scale = self.parameters.value("force_scale", s) + self._drift(s)
         return np.asarray(np.exp(log_scale) * self.recorded.force)

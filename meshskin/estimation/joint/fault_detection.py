@@ -56,7 +56,7 @@ MAX_OUTLIER_FRACTION = 0.35
 """Fraction of outlying readings, mean of the taxels, from which the model is taken to be wrong: the
 median of the residuals breaks down at one half."""
 MIN_UNANSWERED = 3
-"""Contacts that press a taxel without a response, from which its silence is a fault."""
+"""Number of contacts that press a taxel without a response, from which its silence is a fault."""
 STUCK_SPREAD = 1.5
 """RMS spread of a stuck taxel's contacts, relative to their reach. A sound one's is 0.7 where it is
 pressed evenly, at most 1 on a ring, and 1.44 there if E* is believed three times too high."""
@@ -90,7 +90,7 @@ def spread(readings: Readings, scale: float) -> Array:
 
 
 def _telling(readings: Readings) -> np.ndarray:
-    """Readings (k,) bool whose residuals tell of noise and model."""
+    """Readings (k,) bool whose residuals depend on noise and model."""
     return (readings.kind == OBSERVED) & ~outliers(readings) & even(readings)
 
 
@@ -266,7 +266,7 @@ def equal_odds_cutoff(r: Array) -> float:
 def swapped_taxels(
     data: Measurements, readings: Readings, points: Array, faulty: np.ndarray
 ) -> dict[int, int]:
-    """Pairs among the taxels `faulty` (rows of `points`, m) that read in one another's place.
+    """Pairs among the taxels `faulty` (rows of `points`, m) whose ids are exchanged.
 
     The outlying readings of each are centred about the other's position, and far from its own.
     """

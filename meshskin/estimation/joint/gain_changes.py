@@ -17,7 +17,7 @@ from .departures import FittedReadings
 from .pressure import OBSERVED
 
 GAIN_CHANGES = "its gain changes in the course of the recording"
-"""Reason of a taxel that is not determined for it."""
+"""Reason of a taxel that is not determined because its gain changes."""
 PLACES = np.linspace(0.2, 0.8, 13)
 """Parts of a taxel's readings after which its gain may change."""
 LEAST_SCORE = 5.0
@@ -63,7 +63,7 @@ def displacements(whole: FittedReadings, noise: float) -> Array:
 
 
 def _significant(score: Array) -> np.ndarray:
-    """Whether the largest scores (n,) of the taxels show changes."""
+    """Whether the largest score of each taxel (n,) shows a change of its gain."""
     usual = float(np.median(score)) if len(score) else 0.0
     return np.asarray(score > LEAST_SCORE * max(usual / USUAL, 1.0))
 

@@ -50,12 +50,12 @@ relative decrease of the cost at which it has converged: its score tells, not it
 
 @dataclass(frozen=True)
 class Jump:
-    """A displacement of all contacts from one on, or one that grows from the first to the last."""
+    """A displacement of all contacts after one of them (jump), or one that grows (drift)."""
 
     score: float = 0.0
-    """In standard deviations."""
+    """Score of the displacement, in standard deviations."""
     part: float = 0.0
-    """Part of the contacts before it; NaN of a drift."""
+    """Part of the contacts that precede the jump; NaN for a drift."""
     displacement: Array = field(default_factory=lambda: np.zeros(3))
     """(3,), m."""
 
@@ -68,7 +68,7 @@ class Jump:
 
     @property
     def departure(self) -> dict[str, float]:
-        """Its score, by a name that says where it is."""
+        """The score by the name of the jump, which says where it is."""
         if np.isnan(self.part):
             size = 1e3 * float(np.linalg.norm(self.displacement))
             words = f"a drift of the contacts by {size:.2g} mm, as of a skin or clamp that creeps"
@@ -80,7 +80,7 @@ class Jump:
         return {words: self.score}
 
     def course(self, contact: np.ndarray, count: int) -> Array:
-        """Parts (k,) of the displacement that `contact` (k,) of a recording of `count` have."""
+        """Part (k,) of the displacement that each of `contact` (k,), of `count` contacts, has."""
         if np.isnan(self.part):
             return np.asarray(contact / count)
         return np.asarray(contact >= round(self.part * count), dtype=float)

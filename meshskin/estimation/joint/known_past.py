@@ -26,13 +26,13 @@ class KnownPast:
     taxel and contact."""
 
     data: Measurements
-    """With hysteresis or creep among its parameters."""
+    """The measurements, with hysteresis or creep among the parameters."""
     key: np.ndarray
-    """Taxel times m plus contact (k,), rising."""
+    """Key (k,) of each reading, taxel times m plus contact, ascending."""
     state: Array
-    """Of the play operators (k,), in units of the noise."""
+    """States (k,) of the play operators, in units of the noise."""
     crept: Array
-    """Of the creep (k,)."""
+    """States (k,) of the creep."""
 
     @classmethod
     def of(
@@ -61,7 +61,8 @@ class KnownPast:
         return cls(data, key[order], electronics.lagging[order], electronics.following[order])
 
     def before(self, contact: np.ndarray, taxel: np.ndarray) -> History:
-        """What pairs (k,) of contacts and taxels owe to earlier contacts."""
+        """Part of the readings of pairs (k,) of contacts and taxels that is due to earlier
+        contacts."""
         data, m = self.data, len(self.data.points)
         last = np.searchsorted(self.key, taxel * m + contact) - 1
         found = (last >= 0) & (self.key[last] // m == taxel)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .known_past import History
 
 MIN_DENOMINATOR = 0.05
-"""Least denominator of a compressed reading: an expansion by 20 is none of a sensor."""
+"""Least denominator of a compressed reading: no sensor expands readings by more than 20."""
 BLOCK = 8192
 """Readings of a block: their derivatives, some 100 B each, stay in the cache."""
 

@@ -34,7 +34,7 @@ MIN_CLEARANCE = 3.0
 """Distance of a predicted reading from threshold and saturation, in standard deviations, from which
 its residual is as good as uncensored: 1e-3 of such readings are censored."""
 MAX_STEPS = 2
-"""Contacts by which two readings that are neighbours in time are apart: one may be missing."""
+"""Contacts from a reading to its neighbour in time, at most: one may be missing in between."""
 MAX_APART = 3.0
 """Difference of the variances by neighbours in space and in time, in its standard deviation were
 they independent, up to which it is chance: 1.3e-3 of equal ones differ by more on one side."""

@@ -17,8 +17,8 @@ MIN_COMPONENT = 0.05
 the two digits that are printed of the largest."""
 
 MIN_SHARE = 0.2
-"""Least component of a direction of a contact motion that is named: these have many unknowns, and
-parts of 4 % of a direction's variance do not help a reader."""
+"""Least component that is named of a direction of a contact motion: these have many unknowns, and
+components below 4 % of a direction's variance do not help a reader."""
 
 TIE = 1e-3
 """Difference of the variances of directions, relative to their priors, that are undetermined alike:

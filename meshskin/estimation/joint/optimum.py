@@ -28,7 +28,7 @@ from .variable_projection import SchurComplement
 UNCONVERGED = "its position does not converge"
 """Reason of a taxel that is not determined though its trilateration is."""
 WIDENED = (
-    "the model does not fit: standard deviations hold {:.3g} times the noise, by the misfit, and "
+    "the model does not fit: standard deviations are those of {:.3g} times the noise, and include "
     "the distance from the pressure-weighted mean of the contact points, which needs no model"
 )
 """Factor of an estimate whose test of fit fails."""

@@ -22,7 +22,8 @@ MAX_REMAINING = 0.5
 """Fraction of the misfitting taxels that may still misfit with gains and offsets, for these to be
 the cause."""
 MAX_MISFITTING_CONTACTS = 0.05
-"""Fraction of the contacts that may misfit for these, and not the model, to be the cause."""
+"""Largest fraction of misfitting contacts with which these, not the model, are taken as the cause.
+"""
 MAX_DISPLACED = 0.2
 """Fraction of the contacts that may be displaced far more than the others for these to be
 outlying: twice what confuses the start of the estimate."""
@@ -192,7 +193,7 @@ def _responding(estimator: JointEstimator) -> np.ndarray:
 
 
 def _misfits(estimator: JointEstimator) -> tuple[float, np.ndarray]:
-    """The scale of most residuals, or of most taxels' residuals, and the taxels that exceed it."""
+    """Scale of most residuals, or of the residuals of most taxels; the taxels that exceed it."""
     readings, residuals = estimator.likelihood.readings, _residuals(estimator)
     least = faults.MIN_SCALE if estimator.data.noise is None else 1.0
     for scale_of in (faults.reading_scale, faults.taxel_scale):

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
 from ...core.arrays import Array
+from ..result import SHARED_ERRORS
 from .departures import FittedReadings
 from .fault_detection import even
 from .noise import clear_of_limits
@@ -43,12 +44,12 @@ HELD_SCORE, MAX_WIDENING = 10.0, 1.3
 of a foam that is learned on a cylinder have 7 to 9.6 and 1.2, and errors as stated; lines of a
 matrix that crosstalk, where that is not estimated, 13 and 1.2, and errors twice as large."""
 SPARE = 3
-"""Readings of a taxel, at least, beyond its own unknowns: fewer have hardly residuals."""
+"""Least number of readings of a taxel beyond its own unknowns: fewer leave hardly any residuals."""
 START, MAX_RATIO = 0.3, 100.0
 """First and largest variance of shared errors, relative to that of independent ones."""
 Sample = tuple[np.ndarray, Array, Array, Array]
-"""Of a taxel: its contacts (q,), their places (q, 2), orthonormal vectors (q, D) of what its own
-unknowns explain, and the residuals (q,)."""
+"""A taxel's contacts (q,), their places (q, 2), orthonormal vectors (q, D) of what its own unknowns
+explain, and its residuals (q,)."""
 Kernel = Callable[[Array, Array], tuple[Array, ...]]
 """(rows of the contacts (q,), their places (q, 2) relative to the taxel, reaches) -> covariances
 (q, q) of shared errors, each with a variance of its own."""
@@ -68,8 +69,8 @@ class SharedErrors:
 
     @property
     def departure(self) -> dict[str, float]:
-        """Its score, by a name."""
-        return {f"errors that readings of contacts near one another {self.where} share": self.score}
+        """The score by the name of the departure."""
+        return {SHARED_ERRORS.format(self.where): self.score}
 
     def beyond(self, added: Array, covariances: Array) -> dict[str, float]:
         """`departure` where the covariances (n, 2, 2) are doubtful with what was `added` (n, 2, 2)

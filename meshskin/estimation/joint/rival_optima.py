@@ -41,7 +41,7 @@ DIRECTIONS = 8
 RING = 0.8
 """Radius of the ring, in reaches of a contact."""
 ITERATIONS = 4
-"""Relinearizations of the charts on the way to a rival optimum."""
+"""Number of relinearizations of the charts in the search for a rival optimum."""
 MAX_LOG_ODDS = 15.0
 """Largest difference of the log-likelihoods at which an optimum is a rival: odds of 3e-7, the
 probability of an error of 5 standard deviations. It is multiplied by the variance of the residuals
@@ -65,7 +65,7 @@ NUISANCE_STEPS = 2
 """Newton steps to the best gain and offset at a position: readings are linear in the offset and
 nearly so in the logarithm of the gain."""
 MAX_COPIES = 4096
-"""Copies of taxels, each at another place, that are optimized together: bounds the memory."""
+"""Copies of taxels, at different positions, that are optimized together: limits the memory."""
 MAX_MOVES = 3
 """Largest number of times that taxels are moved to better optima."""
 
@@ -165,7 +165,7 @@ def finish(work: Generator[None, None, T]) -> T:
 
 
 def batches(rows: np.ndarray, copies: int) -> list[np.ndarray]:
-    """The taxels `rows` in parts of at most MAX_COPIES, about, with so many `copies` of each."""
+    """The taxels `rows` in parts of about MAX_COPIES copies at most, `copies` of each taxel."""
     return np.array_split(rows, -(-len(rows) * copies // MAX_COPIES))
 
 
@@ -316,7 +316,7 @@ def log_odds_between(
 
 
 def union(first: Readings, second: Readings) -> Readings:
-    """The readings of the same taxels that are in either."""
+    """The readings, of the same taxels, that are in either of the two."""
     names = ("contact", "taxel", "level", "kind", "source", "weight", "precision")
     columns = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in names}
     pairs = np.stack([columns["taxel"], columns["contact"]])

@@ -3,7 +3,7 @@
 Accidents fit no place. Where the outlying readings of many taxels fit one each, contacts, times or
 ids were others in a part of the recording: taxels that were touched in both parts fit one of them
 and lose the readings of the other, and those that were touched in one part have no outlying reading
-and may be as far off. Which part is right, no reading tells.
+and may be as far off. No reading shows which part is right.
 """
 
 from __future__ import annotations
@@ -36,13 +36,14 @@ class SecondFits:
     """Second places of taxels by their outlying readings."""
 
     covariances: Array
-    """What they add to the tangential covariances (n, 2, 2), m^2."""
+    """What second places add to the tangential covariances (n, 2, 2), m^2."""
     departure: dict[str, float] = field(default_factory=dict)
-    """Their score, by a name that says how many there are; none where they are few."""
+    """Their score, by a name that says how many there are; empty where they are few."""
 
 
 def second_fits(estimator: JointEstimator) -> SecondFits:
-    """Those of the taxels of an estimate; none of rigid modules, whose taxels fit together."""
+    """The second places of the taxels of an estimate; none for rigid modules, whose taxels fit
+    together."""
     parametrization, readings = estimator.problem.parametrization, estimator.likelihood.readings
     n = len(estimator.live)
     apart, gains = np.zeros((n, 3)), np.zeros(n)
@@ -69,7 +70,7 @@ def second_fits(estimator: JointEstimator) -> SecondFits:
         return SecondFits(np.zeros((n, 2, 2)))  # these taxels alone: their other readings tell
     size = np.linalg.norm(apart[found], axis=1)
     words = (
-        f"another place of {found.sum()} of the {len(chosen)} taxels with many outlying readings, "
+        f"a second place of {found.sum()} of the {len(chosen)} taxels with many outlying readings, "
         f"{1e3 * np.median(size):.2g} mm away, by these: contacts, times or ids are others in a "
         "part of the recording"
     )

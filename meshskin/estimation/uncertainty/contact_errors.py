@@ -24,30 +24,33 @@ from . import swapped_axes
 from .surface_errors import growth, local_means, normal_variance, sheet_covariance, tilts
 
 SHIFT_SIGMAS = 5.0
-"""Displacement of the contact points, in its standard deviations, from which it is not chance."""
+"""Displacement of the contact points, in standard deviations, above which it is significant."""
 MIN_SPREAD = 1e-3
 """Mean square of the normals' components along a direction from which a displacement along it
 changes the distances: 2 degrees."""
 GROSS = 10.0
-"""Distance of a contact point, in 95th percentiles, above which it is wrong by itself."""
+"""Distance of a contact point from the surface, relative to the 95th percentile, above which this
+single point is wrong."""
 TRIALS, RATIO = 25, 2.0
-"""Standard deviations of a motion that are tried, a factor of 1.33 apart, and that of the logarithm
-of the ratio of its turn's to that of its shift: of 2, so that a turn alone is expected, too. With 1
-0.8 of the displacement by turns alone of an egg is stated, with 2 0.93, with 3 0.95."""
+"""Number of standard deviations of a motion that are tried, a factor of 1.33 apart, and the
+standard deviation of the logarithm of the ratio between those of turn and shift. With 2, turns
+without a shift are expected, too: of the displacement of an egg by such turns 0.93 is stated, with
+1 it is 0.8, with 3 0.95."""
 SURFACE_DEPTHS = 0.1, 1.5
-"""Typical distance of the contact points from the believed surface, in depths of the indentation,
-from which it is a doubt, and a failure: recorded points lie between the undeformed surface and the
-indenter's deepest point. The doubt is a tenth of the depth, 0.2 mm for the paper's skin."""
+"""Typical distance of the contact points from the believed surface, in depths of the indentation: a
+doubt, a failure. Recorded points lie between the undeformed surface and the indenter's deepest
+point. A tenth of the depth is 0.2 mm for the paper's skin."""
 MAX_LEFT = 0.1
-"""Mean square of the taxels' mean distances that a displacement of the contact points may leave, in
-relation to that without it, beyond scatter: more is dents of the body."""
+"""Mean square of the taxels' mean distances that may remain beyond scatter after a displacement of
+the contact points, relative to that before: a larger remainder indicates dents of the body."""
 
 REGISTRATIONS = 4
 """Linearizations of a motion: with a frame turned by 3 degrees on the forearm of a UR3e one left
 1.2 degrees, two 0.002."""
 MAX_SLIDE = 5.0
-"""Displacement by such a motion over the distances that it explains, both rms, above which dents
-explain them as well: 2 for that frame, 80 for dents of 0.1 mm under a skin of eight taxels."""
+"""Ratio of the displacement by such a motion to the distances that it explains, both rms, above
+which dents explain them as well. It is 2 for that frame, and 80 for dents of 0.1 mm under a skin of
+eight taxels."""
 ATTEMPTS = (7, REGISTRATIONS), (6, REGISTRATIONS), (7, 1)
 """Entries and linearizations of the motions that are tried, in order."""
 
@@ -108,7 +111,7 @@ def displacement(distance: Array, normals: Array) -> Array:
 
 
 def _sound(distance: Array) -> np.ndarray:
-    """Rows (m,) bool of the contact points that are not far off the surface by themselves."""
+    """Whether each contact point (m,) is not far off the surface compared with the others."""
     size = np.abs(distance)
     return np.asarray(size <= GROSS * np.quantile(size, 0.95))
 
@@ -143,7 +146,7 @@ class Motion:
 
     @classmethod
     def none(cls, points: Array) -> Motion:
-        """No motion, about the middle of the points (m, 3), m."""
+        """The zero motion, about the middle of the points (m, 3), m."""
         return cls(points.mean(axis=0), np.zeros(3), np.zeros(3), 0.0, np.zeros((7, 7)))
 
     def among(self, motions: Array) -> Motion:
@@ -239,7 +242,7 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     shift = displacement(distance, normals)
 
     def left(rest: Array) -> tuple[float, float]:
-        """Sum of the taxels' squared mean distances, and what scatter has in it."""
+        """Sum of the taxels' squared mean distances, and the part of it that scatter explains."""
         mean, variance = local_means(data, rest)
         return float(np.sum(mean**2)), 2 * float(np.sum(variance))
 

@@ -28,10 +28,10 @@ def aligned_estimate(
     weighting: str,
     seconds: float,
 ) -> EstimatorResult:
-    """The estimate of all taxels by a solved graph of those that `fit` has found.
+    """The estimate of all taxels from a solved graph of the taxels that `fit` has found.
 
-    errors: as of `covariances`; weighting: of the edges, by its name; seconds: time of building the
-    graph.
+    errors: as in `covariances`; weighting: name of the weighting of the edges; seconds: time of
+    building the graph.
     """
     assert solution.iterates is not None
     placed, linked = aligned(graph, solution.poses)
@@ -96,7 +96,7 @@ def covariances(graph: PoseGraph, poses: Array, errors: Array | None = None) -> 
     shift = whole * np.repeat([1.0, 0.0], 3)[:, None]
 
     def moves_by(gradients: Array) -> Array:
-        """Moves (n, 6, k) of the poses, but for the anchors, under gradients (n, 6, k)."""
+        """Moves (n, 6, k) of all poses except the anchors, under gradients (n, 6, k)."""
         free = gradients.copy()
         free[graph.anchors] = 0.0
         return cholesky.solve(blocks, free)

@@ -18,9 +18,9 @@ MIN_PAIRS = 30
 STRONG = 0.9
 """Quantile of the readings that stands for the strong ones."""
 NUMERICAL = 1e-4
-"""Residuals, in strong readings, below which they are errors of computing. Simulated without noise
-they are 1e-6 on a sphere, 1.5e-5 to 6e-5 on 12 link meshes, whose curvature changes from face to
-face. What they hide displaces a taxel by 1e-4 of a contact radius, some tenths of a micrometre; a
+"""Residuals, relative to strong readings, below which they are numerical errors. Without noise they
+are 1e-6 on a sphere and 1.5e-5 to 6e-5 on 12 link meshes, whose curvature changes from face to
+face. Such errors displace a taxel by 1e-4 of a contact radius, some tenths of a micrometre; a
 sensor of 12 bits rounds its readings by as much."""
 REMEDY = (
     "declare what may be unknown (modulus, gain, force, indenter), believe another contact model "
@@ -29,7 +29,7 @@ REMEDY = (
 """Next steps where the model does not fit."""
 OF_CONTACTS = "body_offset", "indenter_offset"
 OF_ROBOT = "mount", "indenter_position", "indenter_radius", "mesh_scale"
-"""What may be unknown of where contacts are: recorded points, and those by joint angles."""
+"""Unknowns of the places of contacts: of recorded points, and of points from joint angles."""
 
 
 def undeclared(belief: Belief) -> str:
@@ -58,7 +58,7 @@ class GoodnessOfFit:
     p: float
     """Probability of so large a sum where the model is right; NaN where it was not tested."""
     words: str
-    """What that means."""
+    """The result in words."""
     left_out: int = 0
     """Number of outlying readings, among them silences that are not plausible."""
     noise: float = float("nan")

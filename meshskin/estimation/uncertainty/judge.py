@@ -35,20 +35,21 @@ MAX_MISFIT = 0.05
 """Residuals beyond the noise, relative to the strong readings, from which a model that does not fit
 is a failure: a contact's position by readings that are 5 % wrong is 0.2 mm off in 4 mm."""
 MAX_OVERSTATED = 3.0
-"""Factor between a stated noise and the residuals from which it is a doubt."""
+"""Largest ratio of a stated noise to the residuals, before it is a doubt."""
 MAX_NOISE = 0.15
-"""Estimated noise, relative to the median taxel's largest reading, from which it is none of a
-sensor: 10 % of the peak pressure is within it."""
+"""Estimated noise, relative to the median taxel's largest reading, that is too large for a sensor:
+noise of 10 % of the peak pressure is below it."""
 MODULUS_FACTORS = 3.0, 10.0
-"""Factor between the estimated and the nominal E* from which it is a doubt, and a failure. Nominal
-values of elastomers by Shore hardness are within a factor of 2; pressures 2 and 4 times wrong move
-E* by factors of 2.7 and 17, since the patch, too, has to fit."""
+"""Factors between the estimated and the nominal E*: a doubt, a failure. Nominal values of
+elastomers by Shore hardness are within a factor of 2; pressures 2 and 4 times wrong change E* by
+factors of 2.7 and 17, since the patch must fit, too."""
 MAX_FAULTY = 0.2
 """Fraction of faulty taxels from which the log is in doubt, not the taxels."""
 MIN_AHEAD = 3.0
-"""Standard deviations from which patches are ahead of the contacts, which no friction explains."""
+"""Standard deviations from which patches count as ahead of the contacts; friction puts them behind.
+"""
 NAMED = 4
-"""Departures that a reason names, the strongest; a strong one raises the scores of similar ones."""
+"""Number of departures that a reason names; a strong one raises the scores of similar ones."""
 MIN_DISPLACEMENT = 0.02
 """Scatter of the contact points, in contact radii, from which their correlation is judged."""
 
@@ -139,7 +140,7 @@ def _fit(data: Measurements, calibration: Calibration) -> list[Finding]:
 def _departures(
     data: Measurements, calibration: Calibration, departures: Mapping[str, float]
 ) -> list[Finding]:
-    """Departures from the model that the readings show and the estimate does not hold."""
+    """Departures from the model that the readings show and the estimate does not include."""
     if calibration.fit is not None and calibration.fit.of_computing(data.pressure):
         return []
     shown = sorted((-score, name) for name, score in departures.items() if score > MIN_SCORE)
@@ -160,7 +161,7 @@ def _departures(
 
 
 def _noise(data: Measurements, calibration: Calibration) -> list[Finding]:
-    """The noise where it was estimated: more than a sensor has is an error of the log."""
+    """The estimated noise: more than that of any sensor is an error of the log."""
     fit, largest = calibration.fit, np.zeros(len(data.ids))
     np.maximum.at(largest, data.taxel, data.pressure)
     strong = float(np.median(largest[data.counts > 0]))  # most readings may be noise
@@ -179,8 +180,8 @@ def _late(data: Measurements) -> list[Finding]:
     if data.delays:
         parts = (f"from {part:.0%} of the recording on {_frames(k)}" for part, k in data.delays[1:])
         words = (
-            f"the readings are {_frames(data.delay)}, {', '.join(parts)}: moved back by that, the "
-            "contacts that each taxel responds to lie closer together, and so they were used; look "
+            f"the readings are {_frames(data.delay)}, {', '.join(parts)}: without these delays the "
+            "contacts that each taxel responds to lie closer together, and they were removed; look "
             "for frames that were lost or doubled there, and for clocks that run at different "
             "rates, and correct the times of the readings"
         )
@@ -191,10 +192,10 @@ def _late(data: Measurements) -> list[Finding]:
     path = float(np.median(np.linalg.norm(moved, axis=1)))
     words = (
         f"the readings are {_frames(data.delay)}, in which the "
-        f"contact moves {1e3 * path:.2g} mm: moved back by that, the contacts that each taxel "
-        "responds to lie closer together, and so they were used; parts of a frame are counted in "
-        "the standard deviations; correct the times of the readings, unless the skin is dragged "
-        "along, which looks alike"
+        f"contact moves {1e3 * path:.2g} mm: without this delay the contacts that each taxel "
+        "responds to lie closer together, and it was removed; the standard deviations include a "
+        "delay of a part of a frame; correct the times of the readings, unless the skin is dragged "
+        "along, which has the same effect"
     )
     return [(DOUBT, words)]
 
@@ -207,7 +208,8 @@ def _frames(late: int) -> str:
 
 
 def _ahead(data: Measurements, calibration: Calibration) -> list[Finding]:
-    """Patches ahead of the contacts: readings that are taken some part of a frame after them."""
+    """Patches ahead of the contacts: readings are taken a part of a frame after the contacts'
+    times."""
     drag, sigma = calibration.unknowns.get("drag", (0.0, np.inf))
     if not drag < -MIN_AHEAD * sigma:  # nor where a sigma is unknown
         return []
@@ -250,7 +252,7 @@ def _priors(data: Measurements, calibration: Calibration) -> list[Finding]:
             words = (
                 f"{label} is {value:.3g}, {apart:.3g} standard deviations of its prior, "
                 f"{sigma:.3g}, from zero (limit {PRIOR_SIGMAS:g}): another error of the log may "
-                "stand behind it; check poses and times, or widen the prior (belief.priors)"
+                "be the cause; check poses and times, or widen the prior (belief.priors)"
             )
             found.append((DOUBT, words))
     return found
@@ -275,8 +277,8 @@ def _surface(data: Measurements, points: Array) -> list[Finding]:
         extra = f", turned about the body's middle by ({turn}) degrees"
         extra += f" and scaled by {1 - best.stretch:.4g}" if best.stretch else ""
     words = (
-        f"contact points lie {1e3 * typical:.3g} mm {where} in the median, and on it best if moved "
-        f"by ({', '.join(f'{-1e3 * x:.2g}' for x in move)}) mm{extra} (limit "
+        f"contact points lie {1e3 * typical:.3g} mm {where} in the median, and nearest to it if "
+        f"moved by ({', '.join(f'{-1e3 * x:.2g}' for x in move)}) mm{extra} (limit "
         f"{1e3 * SURFACE_DEPTHS[0] * depth:.2g} mm, a tenth of the indentation): check the body's "
         "scale and frame, the indenter's position and its radius"
     )
@@ -339,6 +341,6 @@ def _contacts(data: Measurements, calibration: Calibration) -> list[Finding]:
         f"alike (correlation {response.contact_correlation:.2f}, limit {MAX_CORRELATION:g}): this "
         "is not scatter, but an error of the kinematic model or of the clocks; "
         f"{declare + ', or ' * bool(declare)}correct the times; the standard deviations are "
-        "widened by what so many contacts alike are worth"
+        "widened for this correlation"
     )
     return [(DOUBT, words)]

@@ -74,7 +74,7 @@ of arithmetic: the scene sphere, without noise, has 1e-9, and sphere_noisy 1e-5.
 
 
 def is_ideal(calibration: Calibration) -> bool:
-    """Whether the readings had no noise: the NEES then has no distribution."""
+    """Whether the readings had no noise, so that the NEES has no distribution."""
     sigma = calibration.position_sigma[np.isfinite(calibration.position_sigma)]
     return bool(len(sigma) and np.median(sigma) < IDEAL_SIGMA)
 

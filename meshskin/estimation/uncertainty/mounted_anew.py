@@ -1,6 +1,7 @@
-"""A body, or an indenter, that moved in the course of a recording, by the contact points.
+"""A body, or an indenter, that moved during a recording, as found by the contact points.
 
-The contact points before and after lie on the believed surface by two different displacements.
+One displacement brings the contact points before the move onto the believed surface, another one
+those after it.
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ from ..data.measurements import Measurements
 from .verdict import DOUBT, Finding
 
 PLACES = 16
-"""Contacts, evenly spaced, from which on a body may have moved."""
+"""Number of contacts, evenly spaced, at which a body may have moved."""
 POINTS = 1000
 """Contact points, at most, that are compared."""
 SMALL = 0.02
 """Distance of the points from the surface (rms), in depths of the indentation, up to which they are
 on it: 0.04 mm for the paper's skin."""
 WEAK = 0.03
-"""Singular value, relative to the largest, of a direction in which a displacement hardly changes
-the distances, so that it is none."""
+"""Singular value, relative to the largest, below which a displacement hardly changes the distances:
+along such directions it is set to zero."""
 BETTER = 6.0
-"""Ratio of the mean squared distances after one and after two, from which these are named: that of
-a steady drift is 4, which is named as such."""
+"""Ratio of the mean squared distances after one and after two displacements, from which a move is
+named. It is 4 for a steady drift, which is named as such."""
 
 
 @dataclass(frozen=True)
@@ -37,17 +38,17 @@ class Displacements:
     points: Array
     """The points (k, 3), m, as moved."""
     one: float
-    """Mean squared distance, m^2, after one displacement of all."""
+    """Mean squared distance, m^2, after one displacement of all points."""
     two: float
-    """That after both."""
+    """Mean squared distance, m^2, after the two displacements."""
     apart: float
     """Length, m, of the difference of the two."""
 
 
 def displacements(data: Measurements, points: Array) -> Displacements:
-    """Those of contact points (k, 3), m, in the order of their times.
+    """The two displacements of contact points (k, 3), m, in the order of their times.
 
-    A depth that all share, as of a body of another size, is estimated beside them and subtracted.
+    A depth that all points share, as of a body of another size, is estimated, too, and subtracted.
     """
     hit, count = data.body.closest(points), len(points)
     best, found = np.inf, list[Array]()
@@ -65,7 +66,7 @@ def displacements(data: Measurements, points: Array) -> Displacements:
 
 
 def findings(data: Measurements, points: Array) -> list[Finding]:
-    """What the distances of contact points (m, 3), m, from the believed surface say."""
+    """Findings on contact points (m, 3), m, by their distances from the believed surface."""
     rows = np.linspace(0, len(points) - 1, min(POINTS, len(points))).astype(int)
     if len(rows) < 2 * PLACES:
         return []
@@ -74,9 +75,9 @@ def findings(data: Measurements, points: Array) -> list[Finding]:
         return []
     words = (
         f"the body or the indenter has moved in the course of the recording, at about "
-        f"{found.part:.0%} of it: displaced alike, the contact points lie "
-        f"{1e3 * found.one**0.5:.2g} mm off the believed surface (rms), and those from there on "
+        f"{found.part:.0%} of it: with one displacement of all contact points these lie "
+        f"{1e3 * found.one**0.5:.2g} mm off the believed surface (rms); if those from there on are "
         f"displaced by another {1e3 * found.apart:.1g} mm, {1e3 * found.two**0.5:.2g} mm (limit: "
-        f"{BETTER**0.5:g} times nearer); calibrate both parts by themselves, or record anew"
+        f"{BETTER**0.5:g} times nearer); calibrate the parts one by one, or record again"
     )
     return [(DOUBT, words)]

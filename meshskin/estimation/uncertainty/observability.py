@@ -28,15 +28,15 @@ from ..joint.readings import Readings
 from ..trilateration.displacements import surface_motion
 
 SURFACE_SIGMA = 1e-8
-"""Standard deviation of the believed surface along its normal, m: the closest point's numerical
-error, that of simulated contact points on the scene torus. contact_errors.py adds the body's."""
+"""Standard deviation of the believed surface along its normal, m: the numerical error of the
+closest point, for simulated contact points on the scene torus. contact_errors.py adds the body's
+error."""
 TILT_SIGMA = 1e-5
 """Standard deviation of the direction of its normal, rad: ten times the error on a fitted mesh."""
 SPIN = 5
 """Column of the rotation about the taxel's own normal."""
 MIN_INFORMATION = 1e-9
-"""Least eigenvalue of a taxel's information, relative to the largest trace, at which it is bounded.
-"""
+"""Least eigenvalue of a taxel's information, relative to the largest trace, with a finite bound."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _information(
 
 
 def _bound(h: Array, parameters: GlobalParameters) -> Bound:
-    """The bound of information blocks (n, c, c), whose last rows are the global parameters'."""
+    """The bound from information blocks (n, c, c) with the global parameters in the last rows."""
     local = h.shape[1] - len(parameters.sigma)
     size = np.trace(h[:, :2, :2], axis1=1, axis2=2)
     least = np.linalg.eigvalsh(h[:, :2, :2])[:, 0]

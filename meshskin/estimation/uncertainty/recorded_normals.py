@@ -13,16 +13,16 @@ from . import verdict
 from .verdict import PASS, Finding, level_of
 
 NORMAL_ANGLES = 20.0, 45.0
-"""Median angle of recorded normals and those of the believed surface, in degrees, from which it is
-a doubt, and a failure: with friction of 0.3 a force leans by 17 degrees."""
+"""Median angle between recorded normals and those of the believed surface, degrees: a doubt, a
+failure. With friction of 0.3 a force leans by 17 degrees."""
 NORMAL_TURNS = -0.5, 0.0
 """Turn of the recorded normals over that of the surface, along the direction where it is least,
 with the opposite sign, from which it is a doubt, and a failure: 1 in a sound log, -1 along a
 mirrored axis, the cosine of the angle in a frame that is rotated about the normal."""
 STRAYS = 0.05
-"""Part of the contacts, those with the normals farthest from the regression, that do not tell how
-both turn: on a patch where they turn by 0.1 rad, 9 of 3,184 contacts on the way over an edge, 80
-degrees off, halved the ratio."""
+"""Part of the contacts, those with normals farthest from the regression, that is left out of it: on
+a patch where normals turn by 0.1 rad, 9 of 3,184 contacts over an edge, 80 degrees off, halved the
+ratio."""
 BESIDE_EDGE = 0.5e-3
 """Distance, m, from an edge of the body within which the normal of the surface does not count: an
 error of the place, or of the body, of this order takes it from one face to the other."""
@@ -46,8 +46,8 @@ def findings(recording: Recording, data: Measurements) -> list[Finding]:
     turn, axis = least_turn(hit.normal, normals)
     if (level := level_of(-turn, NORMAL_TURNS)) != PASS:
         words = (
-            f"from contact to contact, recorded normals turn {turn:.2g} times as the believed "
-            f"surface's along ({', '.join(f'{x:.2g}' for x in axis)}) (limit "
+            f"recorded normals turn {turn:.2g} times as much from contact to contact as those of "
+            f"the believed surface, along ({', '.join(f'{x:.2g}' for x in axis)}) (limit "
             f"{-NORMAL_TURNS[0]:g}): check the signs and the order of the axes of contacts and body"
         )
     elif (level := level_of(typical, NORMAL_ANGLES)) != PASS:
@@ -60,7 +60,7 @@ def findings(recording: Recording, data: Measurements) -> list[Finding]:
 
 def least_turn(surface: Array, normals: Array) -> tuple[float, Array]:
     """The least eigenvalue of the regression of recorded normals (m, 3) on those of the surface,
-    without STRAYS, and its direction (3,); 1 where the surface's hardly turn."""
+    without STRAYS, and its direction (3,); 1 where the normals of the surface hardly turn."""
     centred = surface - surface.mean(axis=0)
     value, vectors = np.linalg.eigh(centred.T @ centred / len(centred))
     basis = vectors[:, value > MIN_TURN**2]

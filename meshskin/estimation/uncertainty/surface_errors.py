@@ -21,13 +21,13 @@ from ..data.measurements import Measurements
 
 LEAST_HEIGHT = 0.1
 """Least distance of the surface from the middle, along the normals, relative to the diagonal of the
-bounds: a flat sheet of skin is part of a body, whose size does not follow from it; a ball has 0.29,
-a cylinder eight times as long as its radius 0.19."""
+bounds. It is 0.29 for a ball and 0.19 for a cylinder eight times as long as its radius; for a flat
+sheet, which is a part of a body only, it is near zero."""
 FLAT = 0.01
-"""Mean square of the distances of contacts from a plane, relative to that along it, which the slope
-of their heights across it is regularized by: along the normal contacts hardly vary."""
+"""Regularization of the slope of heights over contacts: a mean square of the distances from their
+plane, relative to that along it, as contacts hardly vary along the normal."""
 SAME = 1e-6
-"""Distance, m, up to which a hit is on the sheet of the taxel: rays are single precision."""
+"""Distance, m, up to which a hit is on the sheet of the taxel: rays have single precision."""
 
 
 def growth(body: Body, points: Array) -> Array:

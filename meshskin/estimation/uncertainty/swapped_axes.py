@@ -1,7 +1,8 @@
-"""Contact points whose axes have other signs or another order than the believed body's.
+"""Contact points whose axes have other signs or another order than those of the believed body.
 
 On a nearly symmetric body mirrored points lie on the surface almost everywhere, and the readings
-fit: the map is mirrored, too. The contacts on what is not symmetric show it, also without normals.
+fit a mirrored map. The contacts on the parts that are not symmetric show the error, also without
+normals.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from .verdict import FAIL, PASS, Finding, level_of
 POINTS = 300
 """Contact points, at most, that are compared."""
 BETTER = 1.5, 4.0
-"""Ratio of the mean squared distances as recorded and with other axes from which it is a doubt, and
-a failure. On a body that is symmetric but for its mesh's errors, both differ by less."""
+"""Ratios of the mean squared distances as recorded and with other axes: a doubt, a failure. On a
+body that is symmetric within the errors of its mesh the ratio is smaller."""
 
 
 @dataclass(frozen=True)
@@ -34,22 +35,26 @@ class NearerAxes:
     recorded: float
     """Mean squared distance, m^2, of the points from the surface as recorded."""
     nearest: float
-    """That with the other axes."""
+    """Mean squared distance, m^2, with the other axes."""
 
     @property
     def level(self) -> str:
-        """What the ratio of both means for the verdict."""
+        """Level of the verdict for the ratio of `recorded` to `nearest`."""
         return level_of(self.recorded / max(self.nearest, 1e-300), BETTER)
 
     def displacements(self, points: Array) -> Array:
-        """Displacements (n, 3) of points (n, 3), m, by axes that are a failure; else zeros."""
+        """Displacements (n, 3), m, of points (n, 3), m, by the other axes if these are a failure;
+        else zeros."""
         return points - points @ self.axes.T if self.level == FAIL else np.zeros_like(points)
 
 
 def nearer_axes(data: Measurements, points: Array) -> NearerAxes:
-    """The axes with which contact points (m, 3), m, are nearest to the believed surface; their own
-    where they lie on it, or where a displacement brings them nearer than other axes do: on a nearly
-    symmetric body, mirrored points are those of a body that has moved, maybe in the recording."""
+    """The axes with which contact points (m, 3), m, are nearest to the believed surface.
+
+    These are the recorded axes where the points lie on the surface, or where a displacement brings
+    them nearer than other axes do: on a nearly symmetric body, points look mirrored if the body has
+    moved, possibly during the recording.
+    """
     rows = np.linspace(0, len(points) - 1, min(POINTS, len(points))).astype(int)
     points, recorded = points[rows], _mean_square(data, points[rows])
     if len(points) < verdict.MIN_CONTACTS or recorded <= (SMALL * data.indentation) ** 2:
@@ -64,8 +69,8 @@ def nearer_axes(data: Measurements, points: Array) -> NearerAxes:
 
 
 def findings(recording: Recording, data: Measurements, points: Array) -> list[Finding]:
-    """What the distances of contact points (m, 3), m, from the believed surface say of their
-    axes."""
+    """Findings on the axes of contact points (m, 3), m, by their distances from the believed
+    surface."""
     if recording.metadata.get("source") == JOINT_ANGLES:  # the points are the surface's
         return []
     found = nearer_axes(data, points)
@@ -81,7 +86,7 @@ def findings(recording: Recording, data: Measurements, points: Array) -> list[Fi
 
 
 def signed_permutations() -> Array:
-    """The 47 matrices (47, 3, 3), but the identity, that change the order and signs of axes."""
+    """The matrices (47, 3, 3), without the identity, that change the order or signs of axes."""
     every = np.array(
         [
             np.diag(signs) @ np.eye(3)[list(order)]
@@ -98,7 +103,7 @@ def _mean_square(data: Measurements, points: Array) -> float:
 
 
 def _name(axes: Array) -> str:
-    """Signed axes, as (x, -y, z)."""
+    """Signed axes in words, such as (x, -y, z)."""
     found = np.abs(axes).argmax(axis=1)
     signs = axes[np.arange(3), found]
     names = ["-" * bool(s < 0) + "xyz"[k] for k, s in zip(found, signs, strict=True)]

@@ -16,13 +16,13 @@ from ..data.measurements import Measurements
 from .contact_errors import SHIFT_SIGMAS, displacement, effective_variance
 
 LARGE = 0.3e-3
-"""Motion of the contact points, m rms, from which it is named if it is within SHIFT_SIGMAS of
-chance: an error that a map is not used with."""
+"""Motion of the contact points, m rms, that is named if it is within SHIFT_SIGMAS of chance: a
+larger error makes a map useless."""
 ON_SURFACE, MOST = 1e-6, 0.95
 """Distance, m, from the believed surface up to which points were computed on it, and the part of
 them: measured ones lie some hundredths of a millimetre off."""
 TURNED = 0.01
-"""Part of the points' motion by a turn up to which it is a displacement."""
+"""Largest part of a motion that is a turn, up to which the motion is called a displacement."""
 MEET = 0.02
 """Distance of a point from axes that meet there, relative to its distance from the contacts: those
 of a ball are within 1e-3 (test_a_ball_turns_about_its_middle)."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..calibration import Calibration
 
 PASS, DOUBT, FAIL = LEVELS = ("PASS", "DOUBT", "FAIL")
-"""Levels of a verdict: nothing found; check before use; do not use."""
+"""Levels of a verdict: nothing was found; check before use; do not use."""
 Finding = tuple[str, str]
 """A level and a sentence."""
 MAX_SCALE = 1.6
@@ -34,9 +34,9 @@ MAX_NEGATIVE = 1e-3
 """Fraction of negative or corrupt readings, or of contacts without a positive force that have
 readings, up to which they are single accidents, which are left out."""
 MAX_LAG = 0.1
-"""Time of the readings after their contacts, in frames, from which clocks are in doubt."""
+"""Typical difference of the times of readings and contacts, in frames, that is a doubt."""
 MAX_UNANSWERED = 0.02
-"""Fraction of contacts beside answered ones that nothing answers, from which they are a doubt."""
+"""Fraction of contacts without a reading, next to contacts with one, from which it is a doubt."""
 ONE_WAY = 0.5
 """Mean displacement of a taxel's contacts from frame to frame, relative to the mean of its size,
 from which the passes over it have one direction: equal passes both ways have 0, 14 in directions by
@@ -46,28 +46,28 @@ MIN_CONTACTS = 10
 LAW = 1 / 3
 """Exponent of the radius of a Hertz patch in the force."""
 OFFSET_SIGMAS = 6.0
-"""Standard deviations of both signs of an offset of the force from which it is named."""
+"""Standard deviations, of both indications of an offset of the force, from which it is named."""
 MIN_OFFSET = 0.05
 """Least offset that is named, relative to the force."""
 MAX_OFFSET = 0.5
 """Largest offset, as `MIN_OFFSET`, that is named: with forces wrong by more than half, the skin
 rather has another response."""
 RISE_SIGMAS, MIN_RISE = 4.0, 0.01
-"""Rise of a learned profile from which it is named: in standard deviations, and beyond these
+"""Rise of a learned profile that is named, in standard deviations, and its least excess over these,
 relative to the peak."""
 MIN_READINGS = 10
 """Readings of the median taxel below which a learned response is a doubt: a taxel has four unknowns
 and each contact three. In a Hertz world 0.58 to 0.76 of the error was stated with 4 to 8 readings,
 0.94 with 10."""
 MAX_ALIKE = 1.5
-"""Factor of the variances by errors that neighbouring contacts share from which it is a doubt: the
-factor itself was 0.7 to 1.9 times what is right, on raw meshes."""
+"""Factor of the variances, by errors that neighbouring contacts share, from which it is a doubt. On
+raw meshes the estimated factor was 0.7 to 1.9 times the right one."""
 CAUSES = (
     "the contact points are those of a surface whose facets or bumps the believed one lacks",
     "stiffness or thickness of the skin varies over the body",
     "patches are not round, or another response than the learned one",
 )
-"""What makes the errors of each of contact_correlations.KINDS alike."""
+"""Possible cause of shared errors, for each of contact_correlations.KINDS."""
 AGREEMENT = 0.1
 """Largest difference of the two signs, relative to their sum: 0.04 with forces 0.3 to 1 N wrong of
 3 N on a half-space. On foam, whose exponents are others, the difference is 0.27 and more, and the
@@ -130,13 +130,13 @@ def forces(recording: Recording, calibration: Calibration) -> list[Finding]:
 
 
 def force_offset(data: Measurements, calibration: Calibration) -> list[Finding]:
-    """An offset of the forces, by two signs of it in the learned response.
+    """An offset of the forces, by two indications in the learned response.
 
-    With forces F + b recorded for F, the patch's radius and the total pressure of a contact grow
-    with the exponents LAW (1 + b / F) and 1 + b / F of the recorded force. A sensor that is not
-    linear changes the total only, a layer the radius only; scatter of the forces makes both smaller
-    by the part that it has in their variance. Raw readings do not tell: electronics that compress
-    them make the total grow slower, as the foams do whose patches grow slower.
+    Where F + b is recorded for a force F, the radius of the patch and the total pressure of a
+    contact grow with the exponents LAW (1 + b / F) and 1 + b / F of the recorded force. A nonlinear
+    sensor changes the total only, a layer the radius only; scatter of the forces reduces both by
+    its share of their variance. Raw readings do not show an offset: electronics that compress them
+    make the total grow more slowly, as foams do, whose patches grow more slowly.
     """
     if data.belief.readings == RAW:
         return []
@@ -224,9 +224,9 @@ def _scale(data: Measurements, response: LearnedResponse) -> list[Finding]:
 
 
 def profile(data: Measurements, calibration: Calibration) -> list[Finding]:
-    """A learned profile that rises with the distance from the contact point: no contact's does.
+    """A learned profile that rises with the distance from the contact point, which no contact has.
 
-    Below the threshold nothing is read: what the profile does there is not seen.
+    The profile below the threshold is not judged: nothing is read there.
     """
     return [finding for one in _responses(calibration) for finding in _profile(data, one)]
 
@@ -299,7 +299,7 @@ def pressures(recording: Recording, data: Measurements) -> list[Finding]:
 
 
 def clocks(recording: Recording, data: Measurements, calibration: Calibration) -> list[Finding]:
-    """Clocks of skin and contacts that were not compared, where the passes over the taxels have one
+    """Clocks of skin and contacts that were not compared, where all passes over the taxels have one
     direction: a delay then displaces all taxels alike, and no reading shows it."""
     if recording.metadata.get("clock") != UNCOMPARED or not len(data.pressure):
         return []
@@ -326,7 +326,7 @@ def clocks(recording: Recording, data: Measurements, calibration: Calibration) -
 
 
 def joint_angles(recording: Recording, data: Measurements) -> list[Finding]:
-    """Contacts that follow from joint angles, where the belief has none of their errors."""
+    """Contacts from joint angles, where the belief does not include errors of the joints."""
     if recording.metadata.get("source") != JOINT_ANGLES or data.belief.contact_motion is not None:
         return []
     words = (

@@ -13,12 +13,12 @@ from .verdict import PASS, Finding, level_of
 
 MEAN_SIGMAS = 4.0, 12.0
 """Median distance of the positions from the weighted means of contact points, in standard
-deviations of both, from which it is a doubt, and a failure; 1.18 by theory."""
+deviations of both: a doubt, a failure. By theory it is 1.18."""
 SECTORS = 6
-"""Directions in which contacts must lie about a taxel whose weighted mean is compared."""
+"""Number of sectors about a taxel; its weighted mean is compared if each has contacts."""
 RING = 0.7, 1.5
-"""Their distances, in reaches of a contact: a taxel reads little there, so that contacts that end
-further out do not displace its mean."""
+"""Distances of these contacts, in reaches of a contact: a taxel reads little there, so that its
+mean does not depend on where contacts end further out."""
 STEEPNESS = 1, 5
 """Exponents k of the profile (1 - (distance / reach)^2)^k of a squared reading: 1 of a point in a
 Hertz patch, 5 of a taxel as large as the patch (by quadrature, from 0.3 to 0.7 reaches: 4.6 to
@@ -77,8 +77,8 @@ def _expected_means(data: Measurements, points: Array, steepness: int) -> Array:
 
 
 def surrounded(data: Measurements, means: Array) -> np.ndarray:
-    """Whether contacts lie in all SECTORS directions from points `means` (n, 3) on the surface, at
-    RING reaches: where they end before, a weighted mean of contact points is biased."""
+    """Whether (n,) contacts lie in all SECTORS about points `means` (n, 3), m, at RING reaches.
+    Where contacts end before, a weighted mean of contact points is biased."""
     normals, reach = data.body.closest(means).normal, data.reach()
     contact, own = near_pairs(data, means, normals, RING[1] * reach)
     offset = np.einsum("kij,ki->kj", chart.frames(normals)[own], data.points[contact] - means[own])

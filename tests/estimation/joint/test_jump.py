@@ -129,7 +129,7 @@ def test_contacts_that_are_displaced_for_some_time_only():
     found = ms.calibrate(log, scene.belief(contact="elliptic", noise_sigma=None))
     assert found.verdict is not None
     assert found.verdict.level == "DOUBT"
-    (words,) = [words for words in found.verdict.reasons if "another place of" in words]
+    (words,) = [words for words in found.verdict.reasons if "a second place of" in words]
     assert "2 mm away" in words
     error = np.linalg.norm(found.positions - scene.skin.positions, axis=1)
     good = np.isfinite(error)

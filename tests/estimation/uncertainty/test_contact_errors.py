@@ -247,7 +247,7 @@ def test_turns_and_scales_about_the_middle(turn, stretch, most):
     found = ms.calibrate(wrong, scene.belief())
     # patches that are wider contradict the model: that misfit is in sigma, too
     assert 0.7 < stated_over_true(found, scene.skin.positions) < most
-    (reason,) = [words for words in found.verdict.reasons if "on it best" in words]
+    (reason,) = [words for words in found.verdict.reasons if "nearest to it" in words]
     assert "turned about" in reason
     if stretch:
         assert float(reason.split("scaled by ")[1].split()[0]) == pytest.approx(0.985, abs=1e-3)
