@@ -115,8 +115,8 @@ def replay(known):
     """The online calibration of the contacts of a known response."""
     online = known.online()
     frames = RecordedFrames(known.recording, online.ids, known.errors)
-    for begin in range(0, len(known.recording.points), 40):
-        online.update(*frames.part(begin, min(begin + 40, len(known.recording.points))))
+    for begin in range(0, len(known.recording.points), 10):
+        online.update(*frames.part(begin, min(begin + 10, len(known.recording.points))))
     online.settle()
     return online
 
