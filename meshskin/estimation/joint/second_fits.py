@@ -25,7 +25,10 @@ LEAST_READINGS, EXPLAINED = 6, 0.75
 each cut at CUTOFF, that it explains: what is left is 2.2 standard deviations, rms, at most."""
 MIN_TAXELS, MIN_PART = 3, 0.5
 """Taxels with a second place, at least, and their part of those with LEAST_READINGS outlying ones,
-from which they count: single taxels are at fault by themselves, as two that exchange their ids."""
+from which they count for all: two that exchange their ids are at fault by themselves."""
+ALONE = 0.25
+"""Outlying part of a taxel's readings from which its own second place is in its covariance where
+few taxels have one: its other readings do not tell which is right."""
 MAX_TAXELS = 100
 """Taxels, evenly chosen, whose outlying readings are fitted: their mean square is then known to
 about 10 %."""
@@ -67,7 +70,9 @@ def second_fits(estimator: JointEstimator) -> SecondFits:
     tangents = parametrization.rotations()[:, :, :2]
     own, found = tangential_square(tangents, apart), gains > 0
     if found.sum() < max(MIN_TAXELS, MIN_PART * len(chosen)):
-        return SecondFits(np.zeros((n, 2, 2)))  # these taxels alone: their other readings tell
+        read = np.bincount(readings.taxel[readings.kind == OBSERVED], minlength=n)
+        often = np.bincount(readings.taxel[out], minlength=n) >= ALONE * read
+        return SecondFits(own * (found & often)[:, None, None])
     size = np.linalg.norm(apart[found], axis=1)
     words = (
         f"a second place of {found.sum()} of the {len(chosen)} taxels with many outlying readings, "

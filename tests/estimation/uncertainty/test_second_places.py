@@ -153,3 +153,24 @@ def test_taxels_between_two_lanes_as_far_apart_as_a_patch_is_wide():
     taxels, _, _ = exchanged_taxels(data, np.full((60, 3), np.nan))
     assert len(taxels) > 1  # as far as their readings alone tell
     assert len(exchanged_taxels(data, skin.positions)[0]) == 0
+
+
+def test_two_taxels_that_exchange_their_ids_midway_state_no_small_sigma():
+    """Each answers as often at one place as at the other: neither is more likely its own."""
+    base = ms.Scene.load("sphere_noisy")
+    skin = ms.Skin.cover(base.body, spacing=6e-3, count=30, seed=1, region=Cap((0.0, 0.0, 1.0)))
+    scene, rng = base.with_(body=base.body, skin=skin), np.random.default_rng(3)
+    near = skin.positions[rng.integers(30, size=400)]
+    points = base.body.closest(near + rng.uniform(-5e-3, 5e-3, (400, 3))).point
+    made = ms.press(scene, points, force=3.0, seed=1)
+    log, pair = ms.Recording(made.contacts, made.readings, {}), skin.ids[[3, 26]]
+    ids, late = log.reading_taxel, log.reading_contact >= 200
+    first, second = (late & (ids == one) for one in pair)
+    other = np.select([first, second], pair[::-1].tolist(), ids).astype(np.int32)
+    order = np.lexsort((other, log.reading_contact))
+    swapped = changed(log, taxel=other)
+    swapped = replace(swapped, readings=swapped.readings.take(order))
+    found = ms.calibrate(swapped, scene.belief(contact="hertz", noise_sigma=None))
+    error = np.linalg.norm(found.positions - skin.positions, axis=1)
+    assert np.isfinite(error).sum() >= 28
+    assert not np.any((error > 0.3e-3) & (error > 5 * found.position_sigma))
