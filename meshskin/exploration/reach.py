@@ -23,7 +23,7 @@ from ..core.errors import ConfigError, ContactError, MeshError
 from ..core.progress import Progress, Stage
 from ..core.se3 import orthonormal_basis, transform
 from ..geometry.body import Body
-from ..robot.accessibility import free_rays
+from ..geometry.mesh.rays import exposure
 from ..scene.scene import Scene
 from ..scene.settings import Law, Loop
 from ..skin.skin import Skin
@@ -31,10 +31,6 @@ from .pressing import lighter_rigs, pressed_lighter
 
 POINTS = 1500
 """Points on the visible surface: a share of a half is known to 1.3 %."""
-DIRECTIONS = 64
-"""Directions in which a point may be seen."""
-GRAZING = 0.1
-"""Least cosine of the angle between the normal and a direction in which a point is seen."""
 GENTLE_WIDTH = 0.45
 """a/R on a plane under the force that replaces one under which no contact model holds there: below
 MAX_WIDTH, so that it holds in shallow hollows, too."""
@@ -210,11 +206,4 @@ def even_points(body: Body) -> tuple[Array, Array]:
 
 def visible(body: Body, points: Array, normals: Array) -> NDArray[np.bool_]:
     """Whether (n,) a straight line in front of a point (n, 3) leads away from the body."""
-    ways = np.random.default_rng(0).normal(size=(DIRECTIONS, 3))
-    ways /= np.linalg.norm(ways, axis=1)[:, None]
-    # rays are of single precision: they start a little off the surface
-    start, out = points + 1e-4 * body.surface.scale * normals, np.zeros(len(points), dtype=bool)
-    for way in ways:
-        front = np.flatnonzero(~out & (normals @ way > GRAZING))
-        out[front] = free_rays(body, start[front], way)
-    return out
+    return exposure(body.mesh.vertices, body.mesh.faces, points, normals) > 0.0

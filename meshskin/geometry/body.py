@@ -19,7 +19,7 @@ from ..core.value import Value
 from . import primitives
 from .mesh import link_mesh, mesh_file
 from .mesh.check import check_extent, check_mesh
-from .mesh.self_intersection import ray_scene
+from .mesh.rays import ray_scene
 from .mesh.triangles import Triangles
 from .surface import closing
 from .surface.closest_point import Closest

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array
 from ..geometry.body import Body
+from ..geometry.mesh.rays import spread_directions
 
 DIRECTIONS = 256
 """Directions that are tried, on a spiral over the sphere. Every direction is within 10 degrees of
@@ -46,18 +47,6 @@ def free_rays(body: Body, origins: Array, directions: Array) -> NDArray[np.bool_
     start = ((origins - centre) / scale).astype(np.float32)
     along = np.broadcast_to(directions, start.shape).astype(np.float32)
     return np.asarray(scene.run(start, along)) < 0
-
-
-def spread_directions(count: int) -> Array:
-    """Unit vectors (count, 3), evenly over the sphere: the Fibonacci lattice.
-
-    Source: Gonzalez, "Measurement of areas on a sphere using Fibonacci and latitude-longitude
-    lattices", Mathematical Geosciences 42 (2010).
-    """
-    z = 1 - (2 * np.arange(count) + 1) / count
-    angle = np.pi * (3 - np.sqrt(5)) * np.arange(count)
-    across = np.sqrt(1 - z**2)
-    return np.column_stack([across * np.cos(angle), across * np.sin(angle), z])
 
 
 def free_lengths(body: Body, start: Array, directions: Array, radius: float) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import Array, Index
+from .rays import exposure
 from .topology import NEXT, PREVIOUS, connected_components, edge_keys, edge_pairs, neighbours
 from .winding_number import WindingNumber
 
@@ -16,7 +17,11 @@ MERGE_TOLERANCE = 1e-7
 precision in which STL files are written is 6e-8 of the largest coordinate"""
 SAMPLES = 24
 """vertices of a part, all of which are within the part that encloses it: parts that intersect have
-some outside"""
+some outside; and faces of a part whose sides are looked at"""
+TURNED = 4.0, 0.3
+"""a part with borders is turned inward where its back is that many times as open to the outside as
+its front, and that open itself: a sheet is as open on both sides, the inside of a half ball half
+as open as the outside and may be meant"""
 
 
 @dataclass
@@ -120,13 +125,14 @@ def make_winding_consistent(edit: MeshEdit) -> Index:
 def orient_outward(
     edit: MeshEdit, across: Index, component: Index, open: bool
 ) -> tuple[bool, Index]:
-    """Invert the closed parts whose normals point into the solid; parts with borders stay.
+    """Invert the closed parts whose normals point into the solid, and the parts with borders whose
+    backs are open to the outside rather than their fronts.
 
     `across` (m, 3): neighbours, -1 for none; `component` (m,): connected components. A closed part
     has a positive volume, unless it lies wholly within a solid part of the other orientation: then
     it bounds a cavity. With `open`, a mesh whose outer closed parts all point inward is left as it
-    is: it may be meant so. Also returned is whether any part was inverted, and a face (k,) of each
-    solid part that lies within another one.
+    is: it may be meant so; a mesh of parts with borders alone, too. Also returned is whether any
+    part was inverted, and a face (k,) of each solid part that lies within another one.
     """
     count = int(component.max(initial=-1)) + 1
     corners = edit.vertices[edit.faces]
@@ -136,14 +142,15 @@ def orient_outward(
     closed = _closed_parts(edit.faces, across, component, count)
     parent = _enclosing_parts(edit, component, size, closed)
     outer = closed & (parent < 0)
-    if open and np.all(size[outer] < 0.0):
+    turned = _turned_inward(edit, component, closed)
+    if open and np.all(size[outer] < 0.0) and (outer.any() or np.all(turned[~closed])):
         return False, np.zeros(0, dtype=np.intp)
     target = np.where(closed, 1, np.where(size < 0.0, -1, 1))
     for k in np.flatnonzero(parent >= 0)[np.argsort(-np.abs(size[parent >= 0]))]:
         solid = target[parent[k]] > 0
         if solid and (size[k] < 0.0) != (size[parent[k]] < 0.0):
             target[k] = -1
-    wrong = closed & ((size < 0.0) != (target < 0))
+    wrong = turned | (closed & ((size < 0.0) != (target < 0)))
     inverted = wrong[component]
     if inverted.any():
         which = "" if count == 1 else f" of {int(wrong.sum())} of {count} parts"
@@ -152,6 +159,35 @@ def orient_outward(
     nested = np.flatnonzero((parent >= 0) & (target > 0) & (target[parent] > 0))
     first = np.unique(component, return_index=True)[1]
     return bool(inverted.any()), first[nested]
+
+
+def _turned_inward(
+    edit: MeshEdit, component: Index, closed: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which parts (k,) with borders are TURNED: their backs are open to the outside, not their
+    fronts.
+    """
+    out = np.zeros(len(closed), dtype=bool)
+    if closed.all():
+        return out
+    a, b, c = np.moveaxis(edit.vertices[edit.faces], 1, 0)
+    across = np.cross(b - a, c - a)
+    area = np.linalg.norm(across, axis=1)
+    picked = []
+    for k in np.flatnonzero(~closed):  # evenly by area
+        rows = np.flatnonzero(component == k)
+        sums = np.cumsum(area[rows])
+        picked.append(rows[np.searchsorted(sums, sums[-1] * (np.arange(SAMPLES) + 0.5) / SAMPLES)])
+    rows = np.concatenate(picked)
+    normals = across[rows] / np.maximum(area[rows], 1e-300)[:, None]
+    front, back = (
+        exposure(edit.vertices, edit.faces, edit.centroids(rows), sign * normals)
+        .reshape(-1, SAMPLES)
+        .mean(axis=1)
+        for sign in (1.0, -1.0)
+    )
+    out[~closed] = (back > TURNED[0] * front) & (back > TURNED[1])
+    return out
 
 
 def _closed_parts(faces: Index, across: Index, component: Index, count: int) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import Array, Index
+from .rays import ray_scene
 
 EDGE_MARGIN = 1e-3
 """part of an edge at either end, and of a face along its border, where a contact does not count as
@@ -74,16 +75,6 @@ def _intersections(
         yield rows[real], face[real], where[crossed]
         at[rows] += hits["tfar"][hit] + EDGE_MARGIN * length[rows]
         rows = rows[~real & (at[rows] < end[rows])]
-
-
-def ray_scene(vertices: Array, faces: Index) -> Any:
-    """The embree scene of a mesh, whose coordinates should be of the order of one."""
-    from embreex import rtcore_scene
-    from embreex.mesh_construction import TriangleMesh
-
-    scene = rtcore_scene.EmbreeScene()
-    TriangleMesh(scene, vertices.astype(np.float32), faces.astype(np.int32))
-    return scene
 
 
 def _edges_of_closed(faces: Index) -> tuple[Index, Index]:

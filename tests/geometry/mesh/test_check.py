@@ -127,6 +127,23 @@ def test_an_open_mesh_that_points_inward_as_a_whole_stays(ball):
     assert (volumes(found, parts) < 0.0).all()
 
 
+def test_open_parts_that_are_turned_inward_are_inverted(ball):
+    bowl = ball.copy()
+    bowl.update_faces(bowl.triangles_center[:, 2] < 0.8 * ball.bounds[1, 2])
+    bowl.remove_unreferenced_vertices()
+    parts = ball, shifted(bowl, 0.3), shifted(bowl, 0.6)
+    found = check_mesh(*united(*parts, inverted=(2,)), open=True)
+    assert "orientation of 1 of 3 parts inverted: normals pointed inward" in found.repairs
+    assert (volumes(found, parts) > 0.0).all()
+    sheet = trimesh.Trimesh(
+        [[1, 0, 0], [1.2, 0, 0], [1.2, 0.2, 0], [1, 0.2, 0]], [[0, 2, 1], [0, 3, 2]]
+    )
+    flat = check_mesh(*united(ball, sheet), open=True)  # both of its sides are seen
+    assert not any("inverted" in words for words in flat.repairs)
+    alone = check_mesh(*united(bowl, inverted=(0,)), open=True)  # as a whole: it may be meant so
+    assert not any("inverted" in words for words in alone.repairs)
+
+
 def test_overlap_is_found_where_it_is(ball):
     other = ball.copy()
     other.apply_translation([0.13, 0.01, 0.005])
