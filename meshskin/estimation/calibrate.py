@@ -31,7 +31,7 @@ from .result import EstimatorResult
 from .trilateration import coactivation, eq15, trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
 from .uncalibrated import uncalibrated
-from .uncertainty import observability, second_places
+from .uncertainty import observability, second_places, weighted_means
 from .uncertainty.contact_errors import systematic_covariance
 from .uncertainty.judge import fails_by_itself, judge
 from .uncertainty.unseen_motions import unseen_motions
@@ -76,6 +76,7 @@ class Estimation:
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         found, result = self._estimated(method, tolerance, iterations, stage=stage)
         begin, found = time.perf_counter(), second_places.widened(self.data, found)
+        found = weighted_means.widened(self._near, found, result.departures)
         verdict = judge(self.recording, self._near, found, result.departures, self.data)
         stage.end()
         judged = time.perf_counter() - begin
