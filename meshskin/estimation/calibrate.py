@@ -32,7 +32,7 @@ from .result import EstimatorResult
 from .trilateration import coactivation, eq15, trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
 from .uncalibrated import uncalibrated
-from .uncertainty import observability
+from .uncertainty import observability, weighted_means
 from .uncertainty.contact_errors import systematic_covariance
 from .uncertainty.judge import fails_by_itself, judge
 from .uncertainty.second_places import SecondPlaces
@@ -81,7 +81,7 @@ class Estimation:
         found, result = self._estimated(method, tolerance, iterations, stage=stage)
         self.former = result.former if isinstance(result.former, Former) else None
         begin, places = time.perf_counter(), SecondPlaces(self.data, found)
-        found = places.widened()
+        found = weighted_means.widened(self._near, places.widened(), result.departures)
         verdict = judge(self.recording, self._near, found, result.departures, places.findings())
         stage.end()
         judged = time.perf_counter() - begin

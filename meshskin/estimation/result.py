@@ -18,6 +18,10 @@ RIVAL = "a second position {:.2g} mm away fits nearly as well"
 """Fault of a taxel whose readings have two optima."""
 SHARED_ERRORS = "errors shared by the readings of contacts near one another {}"
 """Factor of an estimate whose standard deviations include such errors."""
+OTHER_RESPONSE = (
+    "another response (saturation, exponent or size of the patch) of {} than of the others"
+)
+"""Departure of an estimate, with the taxels that differ."""
 ALIKE_CONTACTS = "errors of the contact points that are alike over the body"
 """Factor of an estimate whose standard deviations include a field of such errors."""
 CENSORING = "silent readings, censored at the threshold"

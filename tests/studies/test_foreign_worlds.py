@@ -296,17 +296,31 @@ def test_taxels_that_are_read_one_after_another(study, worlds):
     ],
 )
 def test_a_scan_in_any_order_is_in_the_standard_deviations(study, worlds, name, seed):
-    """A mean lag of the readings shows; that of each taxel hardly does: 0.34 to 0.38 of the
-    error was stated, with PASS, and is 0.58 to 1.07."""
+    """A mean lag of the readings shows; that of each taxel hardly does, nor does the order of the
+    channels: 0.34 to 0.38 of the error was stated, with PASS, and is 0.79 to 1.01."""
     from worlds import sphere
     from worlds.world import record
 
     sample = record(replace(worlds[name], taxels=61, contacts=620), seed)
     found = ms.calibrate(sample.recording, study.belief(sample, ms.Body.sphere(sphere.RADIUS)))
     off = np.linalg.norm(found.positions - sample.positions, axis=1)
-    assert 0.55 < np.sqrt(np.mean(found.position_sigma**2) / np.mean(off**2)) < 1.25
+    assert 0.7 < np.sqrt(np.mean(found.position_sigma**2) / np.mean(off**2)) < 1.25
     assert found.verdict.level == "DOUBT"
     assert "ahead of the contacts" in found.verdict.reasons[0]
+
+
+def test_a_misfit_that_displaces_taxels_is_in_the_standard_deviations(study, worlds):
+    """Of ovals on a sphere, as by an ellipsoidal tip, for which other parameters stand in: 0.63 of
+    the error was stated, and 0.37 with such a tip on thin foam, with taxels 7 sigma off."""
+    from worlds import sphere
+    from worlds.world import record
+
+    sample = record(replace(worlds["oblong_13"], taxels=61, contacts=620), 1)
+    found = ms.calibrate(sample.recording, study.belief(sample, ms.Body.sphere(sphere.RADIUS)))
+    off = np.linalg.norm(found.positions - sample.positions, axis=1)
+    assert np.sqrt(np.mean(found.position_sigma**2) / np.mean(off**2)) > 0.8
+    assert (off < 5 * found.position_sigma).all()
+    assert found.verdict.level != "PASS"
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])

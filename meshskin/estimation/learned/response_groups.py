@@ -15,6 +15,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ..joint.departures import FittedReadings, normal_score
+from ..result import OTHER_RESPONSE
 
 TESTED = ("compression", "modulus")
 """Parameters whose scores are compared: compression of strong readings, and size of the patch."""
@@ -25,7 +26,6 @@ MIN_TAXELS = 5
 """Taxels of a part of the ids, at least, that is compared with the rest."""
 MIN_GROUP = 3
 """Taxels of a module, at least."""
-NAME = "another response (saturation, exponent or size of the patch) of {} than of the others"
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class ResponseGroups:
     @property
     def departure(self) -> dict[str, float]:
         """Its score, by a name that says which taxels differ."""
-        return {NAME.format(self.where): self.score}
+        return {OTHER_RESPONSE.format(self.where): self.score}
 
 
 def response_groups(fitted: FittedReadings) -> ResponseGroups:

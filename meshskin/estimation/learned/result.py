@@ -166,9 +166,10 @@ def _tangential(
     own, added = _misfit(fit) * covariance[:, :2, :2], errors.covariances(fitted)
     tangential = larger(scale * covariance[:, :2, :2], own + added)
     factors = [SHARED_ERRORS.format(errors.where)] if added.any() else []
-    # a misfit would pass for displacements of any size
-    if fit.good is not False and fields.covariances.any():
-        tangential = larger(tangential, own + fields.covariances)
+    if fields.covariances.any():
+        # a misfit would pass for displacements of any size: its part of the residuals counts
+        part = 1.0 if fit.good is not False else max(1 - 1 / fit.reduced, 0.0)
+        tangential = larger(tangential, own + part * fields.covariances)
         factors.append(ALIKE_CONTACTS)
     departures = {**errors.beyond(added, own), **fields.departure}
     if fit.good is not False:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from ...core.arrays import Array, sums_by_group
@@ -9,6 +12,8 @@ from .. import chart
 from ..calibration import Calibration
 from ..data.measurements import Measurements
 from ..data.pairs import near_pairs
+from ..joint.departures import MIN_SCORE
+from ..result import OTHER_RESPONSE
 from .verdict import PASS, Finding, level_of
 
 MEAN_SIGMAS = 4.0, 12.0
@@ -31,26 +36,11 @@ def findings(data: Measurements, calibration: Calibration) -> list[Finding]:
     The mean is compared with that of a round profile about the position, over the contacts that
     were made: of lanes that are far apart, it lies towards the nearest one.
     """
-    means = calibration.contact_centroids
-    if means is None:
+    found = _Compared.of(data, calibration)
+    if not len(found.rows):
         return []
-    weight, n = data.pressure**2, len(data.ids)
-    total = np.maximum(np.bincount(data.taxel, weight, n), 1e-300)
-    off = data.points[data.contact] - means[data.taxel]
-    near = np.linalg.norm(off, axis=1) < 1.5 * data.reach()[data.contact]
-    square = np.where(near, (weight / total[data.taxel]) ** 2 * np.sum(off**2, axis=1), 0.0)
-    spread = np.bincount(data.taxel, square, n)
-    sigma = np.sqrt((spread + calibration.position_sigma**2) / 2)
-    seen = np.isfinite(means + calibration.positions).all(axis=1) & np.isfinite(sigma)
-    seen &= (data.counts >= 5) & (sigma > 0)
-    if seen.any():
-        seen[seen] = surrounded(data, means[seen])
-    if seen.sum() < 3:
-        return []
-    flat, steep = (_expected_means(data, calibration.positions[seen], k) for k in STEEPNESS)
-    apart = np.linalg.norm((flat + steep) / 2 - means[seen], axis=1)
-    own = np.linalg.norm(steep - flat, axis=1) / 2  # what the shape of the profile leaves open
-    typical = float(np.median(apart / np.hypot(sigma[seen], own)))
+    apart = np.linalg.norm(found.apart, axis=1)
+    typical = float(np.median(apart / np.hypot(found.sigma, found.own)))
     level = level_of(typical, MEAN_SIGMAS)
     if level == PASS:
         return []
@@ -60,6 +50,61 @@ def findings(data: Measurements, calibration: Calibration) -> list[Finding]:
         f"{MEAN_SIGMAS[0]:g}): check the contact model and the scale of pressures and forces"
     )
     return [(level, words)]
+
+
+def widened(
+    data: Measurements, calibration: Calibration, departures: Mapping[str, float]
+) -> Calibration:
+    """The calibration with the distances from these means in the variances, where a learned
+    response leaves groups of taxels that respond otherwise: errors of the response displace whole
+    groups, and not their means. departures: scores by name."""
+    other = OTHER_RESPONSE.partition("{")[0]
+    shown = any(name.startswith(other) and departures[name] > MIN_SCORE for name in departures)
+    if not shown or calibration.response is None:
+        return calibration
+    found = _Compared.of(data, calibration)
+    covariances, turned = calibration.covariances.copy(), calibration.poses[found.rows, :3, :3]
+    apart = np.einsum("nji,nj->ni", turned, found.apart)
+    covariances[found.rows, :3, :3] += apart[:, :, None] * apart[:, None]
+    return replace(calibration, covariances=covariances)
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """Taxels whose weighted means are compared with those that contacts about them have; none if
+    these are fewer than 3."""
+
+    rows: np.ndarray
+    """(q,)."""
+    apart: Array
+    """Expected means less the actual ones (q, 3), m."""
+    sigma: Array
+    """Their standard deviations (q,), m, by chance."""
+    own: Array
+    """What the shape of the profile leaves open (q,), m."""
+
+    @classmethod
+    def of(cls, data: Measurements, calibration: Calibration) -> _Compared:
+        """Those with contacts all around."""
+        none = cls(np.empty(0, dtype=int), np.empty((0, 3)), np.empty(0), np.empty(0))
+        n, means = len(data.ids), calibration.contact_centroids
+        if means is None:
+            return none
+        weight = data.pressure**2
+        total = np.maximum(np.bincount(data.taxel, weight, n), 1e-300)
+        off = data.points[data.contact] - means[data.taxel]
+        near = np.linalg.norm(off, axis=1) < 1.5 * data.reach()[data.contact]
+        square = np.where(near, (weight / total[data.taxel]) ** 2 * np.sum(off**2, axis=1), 0.0)
+        spread = np.bincount(data.taxel, square, n)
+        sigma = np.sqrt((spread + calibration.position_sigma**2) / 2)
+        seen = np.isfinite(means + calibration.positions).all(axis=1) & np.isfinite(sigma)
+        rows = np.flatnonzero(seen & (data.counts >= 5) & (sigma > 0))
+        rows = rows[surrounded(data, means[rows])] if len(rows) else rows
+        if len(rows) < 3:
+            return none
+        flat, steep = (_expected_means(data, calibration.positions[rows], k) for k in STEEPNESS)
+        apart, own = (flat + steep) / 2 - means[rows], np.linalg.norm(steep - flat, axis=1) / 2
+        return cls(rows, apart, sigma[rows], own)
 
 
 def _expected_means(data: Measurements, points: Array, steepness: int) -> Array:

@@ -43,6 +43,20 @@ def test_the_first_contact_model_that_holds(world, body, thickness, name):
     assert np.nanmax(np.linalg.norm(positions - seen.truth, axis=1)) < 1e-6
 
 
+@pytest.mark.parametrize(
+    ("axes", "name"), [((0.1, 0.1, 0.1), "hertz"), ((0.1, 0.08, 0.08), "elliptic")]
+)
+def test_a_learned_response_has_ovals_where_hertz_holds_but_patches_are_not_round(
+    world, axes, name
+):
+    """Ovals that the mean lacks pass for lags of single taxels (ratio of curvatures 1.04)."""
+    seen = type(world)(extent=9e-3, body=ms.Body.ellipsoid(axes), model=ContactModel("elliptic"))
+    recording = seen.record()
+    assert resolve_belief(belief(seen), recording).contact == "hertz"
+    learned = replace(belief(seen), contact="learned")
+    assert resolve_belief(learned, recording).contact == name
+
+
 def test_contacts_in_which_the_model_does_not_hold():
     """As `solve` says one by one, up to a twentieth of them; the widest is refused, with reason."""
     told = replace(ms.Scene.load("sphere").belief(), contact="hertz")

@@ -353,6 +353,23 @@ def test_forces_recorded_as_constant_are_mended():
     assert "the force is constant" in found.verdict.reasons[0]
 
 
+def test_ovals_do_not_pass_for_lags_of_single_taxels():
+    """A skin on an ellipsoid whose patches are 3 % longer than wide, which spirals cross."""
+    body, count = Body.ellipsoid((0.08, 0.08, 0.1)), 500
+    skin = Skin.cover(
+        body, spacing=5e-3, count=45, seed=1, region=Cap((1.0, 0.0, 0.0)), disc_radius=2e-3
+    )
+    scene = Scene.load("sphere_noisy").with_(body=body, skin=skin, contact="elliptic")
+    radius = 22e-3 * np.sqrt((np.arange(count) + 0.5) / count)
+    angle = 2 * np.pi * radius / np.sqrt(np.pi * 22e-3**2 / count)
+    flat = np.column_stack([np.full(count, 0.08), radius * np.cos(angle), radius * np.sin(angle)])
+    made = press(scene, body.closest(flat).point, force=np.full(count, 3.0), seed=1)
+    found = calibrate(made, scene.belief(readings="raw", contact="auto"))
+    error = np.linalg.norm(found.positions - skin.positions, axis=1)
+    assert np.sqrt(np.nanmean(error**2)) < 0.03e-3
+    assert str(found.verdict.level) == "PASS"
+
+
 @pytest.mark.parametrize("unit", [1.0, 1e-3])
 def test_corrupt_and_stuck_taxels_of_a_learned_response_are_named(unit):
     """unit: of the readings, Pa; another than 1 Pa is believed to be raw."""

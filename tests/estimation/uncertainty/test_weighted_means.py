@@ -8,6 +8,8 @@ import pytest
 import meshskin as ms
 from meshskin.estimation.chart import frames
 from meshskin.estimation.data.gather import gather
+from meshskin.estimation.joint.departures import MIN_SCORE
+from meshskin.estimation.result import OTHER_RESPONSE
 from meshskin.estimation.uncertainty import weighted_means
 
 PITCH = 2.5e-3
@@ -50,3 +52,20 @@ def test_means_over_few_lanes_are_no_doubt(lanes):
     ((level, words),) = weighted_means.findings(data, replace(found, poses=wrong))
     assert level == "FAIL"
     assert "from the pressure-weighted means" in words
+
+
+def test_groups_that_respond_otherwise_widen_by_the_distance_from_the_means(lanes):
+    scene, recording = lanes
+    belief = scene.belief(contact="learned")
+    found = ms.calibrate(recording, belief)
+    poses = found.poses.copy()
+    poses[:, 0, 3] += 0.3e-3  # along the lanes: across them the mean is that of the nearest one
+    moved, data = replace(found, poses=poses), gather(recording, belief)
+    shown = {OTHER_RESPONSE.format("modules"): 2 * MIN_SCORE}
+    assert weighted_means.widened(data, moved, {"drag": 2 * MIN_SCORE}) is moved
+    wide = weighted_means.widened(data, moved, shown)
+    seen = np.isfinite(found.positions[:, 0])
+    turned = found.poses[seen, :3, :3]
+    added = (wide.covariances[seen] - moved.covariances[seen])[:, :3, :3]
+    along = np.einsum("ni,nij,nj->n", turned[:, 0], added, turned[:, 0])
+    assert np.median(np.sqrt(along[along > 0])) == pytest.approx(0.3e-3, rel=0.3)
