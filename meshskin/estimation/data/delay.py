@@ -170,7 +170,8 @@ def without_delay(data: Measurements) -> Measurements:
         data = replace(_moved_back(data, np.full(len(data.points), frames)), delay=frames)
     k, level = data.contact, np.maximum(data.pressure - data.rest[data.taxel], 0.0)
     course = np.zeros(BLOCKS, dtype=int)
-    if not _possible_filters(data.taxel, level, *_neighbours(data, level)):  # they lag by any time
+    filtered = _possible_filters(data.taxel, level, *_neighbours(data, level))  # lags by any time
+    if _crossed_again(data) and not filtered:
         in_time = np.stack([_in_time(data, k, k - late) for late in LAGS])
         course = delay_course(data, in_time, level)
     changes = np.flatnonzero(np.diff(course)) + 1
@@ -184,6 +185,17 @@ def without_delay(data: Measurements) -> Measurements:
     moved = _moved_back(data, course[contacts * BLOCKS // m], unclear)
     steps = tuple((c / BLOCKS, frames + int(course[c])) for c in (0, *changes.tolist()))
     return replace(moved, delay=steps[0][1], delays=steps)
+
+
+def _crossed_again(data: Measurements) -> bool:
+    """Whether most taxels have MIN_READINGS and are crossed twice: parts of a single pass spread
+    less where one is moved onto another."""
+    order = np.lexsort((data.contact, data.taxel))
+    taxel, contact = data.taxel[order], data.contact[order]
+    begins = (np.diff(taxel, prepend=-1) != 0) | (np.diff(contact, prepend=0) > LATE_FRAMES)
+    passes, touched = np.bincount(taxel[begins], minlength=len(data.ids)), data.counts > 0
+    often = (data.counts[touched] >= MIN_READINGS) & (passes[touched] > 1)
+    return bool(np.mean(often) > 0.5) if len(often) else False
 
 
 def _moved_back(

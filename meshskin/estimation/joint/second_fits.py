@@ -14,11 +14,12 @@ import numpy as np
 
 from ...core.arrays import Array, means_by_group
 from ..chart import tangential_square
+from ..data.pairs import near_pairs
 from .fault_detection import CUTOFF, outliers
 from .joint_estimator import JointEstimator
 from .jump import DisplacedResiduals
 from .parametrization import SurfaceParametrization
-from .pressure import OBSERVED
+from .pressure import CENSORED, OBSERVED
 
 LEAST_READINGS, EXPLAINED = 6, 0.75
 """Outlying readings of a taxel, at least, that are a second place, and the part of their squares,
@@ -26,9 +27,11 @@ each cut at CUTOFF, that it explains: what is left is 2.2 standard deviations, r
 MIN_TAXELS, MIN_PART = 3, 0.5
 """Taxels with a second place, at least, and their part of those with LEAST_READINGS outlying ones,
 from which they count for all: two that exchange their ids are at fault by themselves."""
-ALONE = 0.25
-"""Outlying part of a taxel's readings from which its own second place is in its covariance where
-few taxels have one: its other readings do not tell which is right."""
+PRESSED, MAJORITY = 0.8, 2.0
+"""Distance, in reaches of a contact, up to which it presses a taxel: there a point reads 0.6 of the
+peak by Hertz. And the excess over half, in standard deviations by chance, of the part of these
+contacts that a taxel answers, above which its place is its own whatever its outlying readings
+say."""
 MAX_TAXELS = 100
 """Taxels, evenly chosen, whose outlying readings are fitted: their mean square is then known to
 about 10 %."""
@@ -70,9 +73,8 @@ def second_fits(estimator: JointEstimator) -> SecondFits:
     tangents = parametrization.rotations()[:, :, :2]
     own, found = tangential_square(tangents, apart), gains > 0
     if found.sum() < max(MIN_TAXELS, MIN_PART * len(chosen)):
-        read = np.bincount(readings.taxel[readings.kind == OBSERVED], minlength=n)
-        often = np.bincount(readings.taxel[out], minlength=n) >= ALONE * read
-        return SecondFits(own * (found & often)[:, None, None])
+        doubtful = found & ~_confirmed(estimator, ~out & (readings.kind != CENSORED))
+        return SecondFits(own * doubtful[:, None, None])
     size = np.linalg.norm(apart[found], axis=1)
     words = (
         f"a second place of {found.sum()} of the {len(chosen)} taxels with many outlying readings, "
@@ -83,3 +85,15 @@ def second_fits(estimator: JointEstimator) -> SecondFits:
     return SecondFits(
         np.where(found[:, None, None], own, pooled), {words: float(gains.sum()) ** 0.5}
     )
+
+
+def _confirmed(estimator: JointEstimator, sound: np.ndarray) -> np.ndarray:
+    """Whether (n,) a taxel answers most contacts that press it where it is placed; sound (k,) bool:
+    the readings that are answers."""
+    data, readings = estimator.contacts.data, estimator.likelihood.readings
+    places, n = estimator.problem.parametrization, len(estimator.live)
+    normals = places.rotations()[:, :, 2]
+    contact, own = near_pairs(data, places.points(), normals, PRESSED * data.reach())
+    answered = np.isin(contact * n + own, (readings.contact * n + readings.taxel)[sound])
+    pressed, answers = np.bincount(own, minlength=n), np.bincount(own[answered], minlength=n)
+    return np.asarray(answers - pressed / 2 > MAJORITY * np.sqrt(pressed) / 2)
