@@ -20,7 +20,7 @@ from itertools import islice
 import numpy as np
 
 from ...core.arrays import Array, sums_by_group
-from ..data.global_parameters import DRIFT_SIZE, OWN_DEPARTURES
+from ..data.global_parameters import DRIFT_SIZE, OWN_DEPARTURES, PRIOR_SIGMAS, PRIORS
 from ..data.measurements import Measurements
 from .coupled_system import CoupledSystem, inner
 from .electronics import WIDTH, Electronics
@@ -44,6 +44,9 @@ TIMES = (0.03, 0.1, 0.4, 1.5, 6.0)
 """Time constants of creep that are tried, in units of creep.TIME."""
 ONE_SIDED = ("friction", "hysteresis")
 """Departures whose parameter is positive."""
+MAX_OFFSET = PRIOR_SIGMAS * PRIORS["indenter_offset"]
+"""Largest offset of the indenter, m: where contacts show hardly any along a direction, as of a ball
+along its normals, errors of the response pass for one of centimetres."""
 PAIRED = 1e-12
 """Least variance of the sum over pairs, as a share of that of all readings: rounding is below."""
 SEEN = 1e-6
@@ -102,6 +105,8 @@ class FittedReadings:
                 elif name == "creep":  # of electronics that average a large part
                     share = np.clip(abs(first), SHARE, FILTER_SHARE)
                     start = np.array([np.copysign(share, first), *start[1:]])
+                elif name == "indenter_offset" and abs(first) > MAX_OFFSET:
+                    score = 0.0
                 if name not in found or score > found[name][0]:
                     found[name] = score, start
         largest_first = dict(sorted(found.items(), key=lambda item: -item[1][0]))
@@ -201,9 +206,8 @@ class FittedReadings:
         not, whose products with `rate` are the terms of the marginal likelihood's derivative."""
         if self.system is not None:
             weighted = self.curvature[:, None] * columns
-            taxels, contacts, shared = self.system.solve(
-                *self.system.transposed(self.jacobian, weighted)
-            )
+            parts = self.system.transposed(self.jacobian, weighted)
+            taxels, contacts, shared = self.system.solve(*parts)
             left = columns - self.system.forward(self.jacobian, (taxels, contacts, shared))
             fixed = taxels, np.zeros_like(contacts), shared
             return left, columns - self.system.forward(self.jacobian, fixed)
@@ -217,8 +221,7 @@ class FittedReadings:
         """Displacements (n, 2, q) of taxels by errors `columns` (k, q)."""
         if self.system is not None:
             weighted = self.curvature[:, None] * columns
-            parts = self.system.transposed(self.jacobian, weighted)
-            return self.system.solve(*parts)[0][:, :2]
+            return self.system.solve(*self.system.transposed(self.jacobian, weighted))[0][:, :2]
         solved = self._solved(self._coupling(columns))
         return np.asarray(solved[:, :2] / self._own_information[0][:, :2, None])
 
@@ -228,8 +231,7 @@ class FittedReadings:
         taxel, n, b = self.readings.taxel, len(self.points), self._coupling(column[:, None])
         explained = np.einsum("nai,nai->n", b, self._solved(b))
         information = sums_by_group(self.curvature * column**2, taxel, n) - explained
-        slope = -sums_by_group(self.rate * column, taxel, n)
-        return slope, information
+        return -sums_by_group(self.rate * column, taxel, n), information
 
     def _coupling(self, columns: Array) -> Array:
         """Couplings (n, D, q) of each taxel's own unknowns, in their scales, with parameters of the
@@ -267,8 +269,7 @@ def _score(slope: Array, information: Array) -> tuple[float, float]:
     value, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     along = (vectors.T @ (slope / scale)) * (value > SEEN) / np.maximum(value, SEEN) ** 0.5
     square, estimate = float(along @ along), vectors @ (along / np.maximum(value, SEEN) ** 0.5)
-    first = float(estimate[0] / scale[0]) if seen[0] else 0.0
-    return normal_score(square, len(slope)), first
+    return normal_score(square, len(slope)), float(estimate[0] / scale[0]) if seen[0] else 0.0
 
 
 def normal_score(square: float, count: int) -> float:
@@ -336,9 +337,8 @@ def contact_score(estimator: JointEstimator) -> float:
     nuisance = problem.nuisance(state.z, np.arange(problem.parametrization.count))
     jacobian = estimator.likelihood.derivatives(problem.points(state), nuisance, contacts)[-3:]
     used = (readings.kind == OBSERVED) & (readings.weight > 0.5)
-    owner = readings.contact[used]
+    owner, found = readings.contact[used], []
     product = jacobian[:, used] * (np.sqrt(readings.precision) * estimator.residuals())[used]
-    found = []
     for rows in (slice(0, 2), slice(2, 3)):
         excess, variance = 0.0, 1e-300
         for x in product[rows]:

@@ -106,6 +106,28 @@ def test_readings_without_weight_determine_no_parameter():
     assert not information.any()
 
 
+@pytest.mark.parametrize(("visible", "offset", "shown"), [(1e3, 1e-3, True), (10.0, 0.1, False)])
+def test_an_offset_of_centimetres_is_an_error_of_the_response(visible, offset, shown):
+    """Along a direction in which the readings hardly change, as with contacts on one side of a ball
+    along its normals; visible: their change, 1/m."""
+    rng, count = np.random.default_rng(0), 400
+    column = visible * rng.normal(size=(count, 1))
+
+    class OnlyOffset(FittedReadings):
+        def _candidates(self):
+            yield "indenter_offset", column, np.zeros(3)
+
+    readings = SimpleNamespace(taxel=np.arange(count) % 20, contact=np.arange(count))
+    fitted = OnlyOffset(
+        data=SimpleNamespace(headway=np.zeros((count, 3)), phase=np.zeros(count)),
+        readings=readings, points=np.zeros((20, 3)), mu=np.ones(count), offset=np.zeros(count),
+        rate=-offset * column[:, 0], curvature=np.ones(count), own=rng.normal(size=(2, count)),
+        prior=np.zeros(2), tangents=np.tile(np.eye(3)[:, :2], (20, 1, 1)),
+    )  # fmt: skip
+    score, _ = fitted.scores()["indenter_offset"]
+    assert score > 15 if shown else score == 0.0
+
+
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_single_pair_of_readings_in_one_contact_tells_no_errors_of_contacts(seed):
     """As on a skin whose taxels are farther apart than a patch is wide."""
