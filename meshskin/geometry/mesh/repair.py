@@ -167,27 +167,28 @@ def _turned_inward(
     """Which parts (k,) with borders are TURNED: their backs are open to the outside, not their
     fronts.
     """
-    out = np.zeros(len(closed), dtype=bool)
+    count = len(closed)
     if closed.all():
-        return out
-    a, b, c = np.moveaxis(edit.vertices[edit.faces], 1, 0)
-    across = np.cross(b - a, c - a)
-    area = np.linalg.norm(across, axis=1)
-    picked = []
-    for k in np.flatnonzero(~closed):  # evenly by area
-        rows = np.flatnonzero(component == k)
-        sums = np.cumsum(area[rows])
-        picked.append(rows[np.searchsorted(sums, sums[-1] * (np.arange(SAMPLES) + 0.5) / SAMPLES)])
-    rows = np.concatenate(picked)
-    normals = across[rows] / np.maximum(area[rows], 1e-300)[:, None]
-    front, back = (
-        exposure(edit.vertices, edit.faces, edit.centroids(rows), sign * normals)
-        .reshape(-1, SAMPLES)
-        .mean(axis=1)
-        for sign in (1.0, -1.0)
-    )
-    out[~closed] = (back > TURNED[0] * front) & (back > TURNED[1])
-    return out
+        return np.zeros(count, dtype=bool)
+    faces = np.flatnonzero(~closed[component])
+    faces = faces[np.argsort(component[faces], kind="stable")]
+    a, b, c = np.moveaxis(edit.vertices[edit.faces[faces]], 1, 0)
+    normals = np.cross(b - a, c - a)
+    area = np.linalg.norm(normals, axis=1)
+    size = np.bincount(component[faces], area, count)[~closed]
+    places = (np.arange(SAMPLES) + 0.5) / SAMPLES  # evenly by area
+    sought = (np.cumsum(size) - size)[:, None] + size[:, None] * places
+    rows = np.minimum(np.searchsorted(np.cumsum(area), sought.ravel()), len(faces) - 1)
+    rows, times = np.unique(rows, return_counts=True)  # a part may have fewer faces
+    points, part = edit.centroids(faces[rows]), component[faces[rows]]
+    unit = normals[rows] / np.maximum(area[rows], 1e-300)[:, None]
+
+    def openness(side: float) -> Array:
+        seen = exposure(edit.vertices, edit.faces, points, side * unit)
+        return np.asarray(np.bincount(part, times * seen, count) / SAMPLES)
+
+    front, back = openness(1.0), openness(-1.0)
+    return np.asarray((back > TURNED[0] * front) & (back > TURNED[1]))
 
 
 def _closed_parts(faces: Index, across: Index, component: Index, count: int) -> NDArray[np.bool_]:
