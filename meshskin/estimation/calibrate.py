@@ -56,15 +56,15 @@ class Estimation:
         start: Array | None = None, former: Former | None = None,
     ) -> None:  # fmt: skip
         """start: positions (n, 3), m, at which the joint estimate begins, NaN where not known;
-        former: at which one with a learned response begins. Raises as `calibrate`."""
+        former: another Estimation's `last`, to begin a learned response. Raises as `calibrate`."""
         begin = time.perf_counter()
         check_type(Recording, recording, "what is calibrated")
         if not hasattr(belief, "taxel_ids"):
             remedy = "give what the robot's owner knows: scene.belief()"
             raise CalibrationError("no belief", value=type(belief).__name__, remedy=remedy)
         self.data, self._out_of_range = gather_or_learn(recording, belief)
-        self.recording, self.belief, self.start = recording, belief, start
-        self.former = former  # of the estimate made last, once there is one
+        self.recording, self.belief, self.start, self._former = recording, belief, start, former
+        self.last: Former | None = None  # the estimate by `calibrate`, if its response is learned
         self._displacements: dict[Trilateration, Displacements] = {}
         self._seconds = time.perf_counter() - begin
 
@@ -79,7 +79,7 @@ class Estimation:
         """The calibration by a method; arguments and errors as `calibrate`."""
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         found, result = self._estimated(method, tolerance, iterations, stage=stage)
-        self.former = result.former if isinstance(result.former, Former) else None
+        self.last = result.former if isinstance(result.former, Former) else None
         begin, places = time.perf_counter(), SecondPlaces(self.data, found)
         found = weighted_means.widened(self._near, places.widened(), result.departures)
         verdict = judge(self.recording, self._near, found, result.departures, places.findings())
@@ -182,7 +182,7 @@ class Estimation:
         fails by itself, which no response mends.
         """
         if self.data.learned:
-            return learned.estimate(self.data, stage, self.former)
+            return learned.estimate(self.data, stage, self._former)
         try:
             found = maximum_likelihood.optimum(
                 self.data, self._initial, iterations, tolerance, self.least_squares, stage
@@ -225,7 +225,7 @@ class Estimation:
             return None
         try:
             data = gather(self.recording, replace(self.belief, contact=LEARNED))
-            return learned.estimate(data, stage, self.former)
+            return learned.estimate(data, stage, self._former)
         except (CalibrationError, ContactError):
             return None
 

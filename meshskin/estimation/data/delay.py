@@ -170,7 +170,8 @@ def without_delay(data: Measurements) -> Measurements:
         data = replace(_moved_back(data, np.full(len(data.points), frames)), delay=frames)
     k, level = data.contact, np.maximum(data.pressure - data.rest[data.taxel], 0.0)
     course = np.zeros(BLOCKS, dtype=int)
-    filtered = _possible_filters(data.taxel, level, *_neighbours(data, level))  # lags by any time
+    # a low-pass filter lags by another time in each part, as readings rise or fall
+    filtered = _possible_filters(data.taxel, level, *_neighbours(data, level))
     if _crossed_again(data) and not filtered:
         in_time = np.stack([_in_time(data, k, k - late) for late in LAGS])
         course = delay_course(data, in_time, level)
@@ -187,13 +188,18 @@ def without_delay(data: Measurements) -> Measurements:
     return replace(moved, delay=steps[0][1], delays=steps)
 
 
+def _begins_pass(taxel: np.ndarray, contact: np.ndarray) -> np.ndarray:
+    """Whether (k,) a reading is the first of a pass over its taxel; by taxel and then contact."""
+    return (np.diff(taxel, prepend=-1) != 0) | (np.diff(contact, prepend=0) > LATE_FRAMES)
+
+
 def _crossed_again(data: Measurements) -> bool:
     """Whether most taxels have MIN_READINGS and are crossed twice: parts of a single pass spread
     less where one is moved onto another."""
     order = np.lexsort((data.contact, data.taxel))
     taxel, contact = data.taxel[order], data.contact[order]
-    begins = (np.diff(taxel, prepend=-1) != 0) | (np.diff(contact, prepend=0) > LATE_FRAMES)
-    passes, touched = np.bincount(taxel[begins], minlength=len(data.ids)), data.counts > 0
+    begins, touched = _begins_pass(taxel, contact), data.counts > 0
+    passes = np.bincount(taxel[begins], minlength=len(data.ids))
     often = (data.counts[touched] >= MIN_READINGS) & (passes[touched] > 1)
     return bool(np.mean(often) > 0.5) if len(often) else False
 
@@ -254,7 +260,7 @@ def remaining_squares(data: Measurements) -> Array:
     order = np.lexsort((data.contact[rows], data.taxel[rows]))
     moved, rows, late = moved[order], rows[order], late[order]
     weight, own, at = data.pressure[rows] ** 2, data.taxel[rows], data.contact[rows]
-    begins = (np.diff(own, prepend=-1) != 0) | (np.diff(at, prepend=0) > LATE_FRAMES)
+    begins = _begins_pass(own, at)
     number = np.cumsum(begins) - 1
     share = weight / np.maximum(np.bincount(own, weight, n), 1e-300)[own]
     mean = sums_by_group(share[:, None] * moved, own, n)

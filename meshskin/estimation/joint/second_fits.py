@@ -21,9 +21,10 @@ from .jump import DisplacedResiduals
 from .parametrization import SurfaceParametrization
 from .pressure import CENSORED, OBSERVED
 
-LEAST_READINGS, EXPLAINED = 6, 0.75
-"""Outlying readings of a taxel, at least, that are a second place, and the part of their squares,
-each cut at CUTOFF, that it explains: what is left is 2.2 standard deviations, rms, at most."""
+LEAST_READINGS, LEAST_PART, EXPLAINED = 6, 0.15, 0.75
+"""Outlying readings of a taxel, at least, that are a second place, and their part of its readings:
+beside fillets, which a learned response knows less, a few in a hundred are. And the part of their
+squares, each cut at CUTOFF, that it explains: what is left is 2.2 standard deviations, rms."""
 MIN_TAXELS, MIN_PART = 3, 0.5
 """Taxels with a second place, at least, and their part of those with LEAST_READINGS outlying ones,
 from which they count for all: two that exchange their ids are at fault by themselves."""
@@ -54,7 +55,10 @@ def second_fits(estimator: JointEstimator) -> SecondFits:
     n = len(estimator.live)
     apart, gains = np.zeros((n, 3)), np.zeros(n)
     out = (readings.kind == OBSERVED) & outliers(readings)
-    many = np.flatnonzero(np.bincount(readings.taxel[out], minlength=n) >= LEAST_READINGS)
+    read, left_out = (
+        np.bincount(readings.taxel[rows], minlength=n) for rows in (readings.kind == OBSERVED, out)
+    )
+    many = np.flatnonzero(left_out >= np.maximum(LEAST_READINGS, LEAST_PART * read))
     if not isinstance(parametrization, SurfaceParametrization) or not len(many):
         return SecondFits(np.zeros((n, 2, 2)))
     where = estimator.contacts.data.points[readings.contact]

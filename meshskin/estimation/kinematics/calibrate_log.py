@@ -205,7 +205,7 @@ def _estimated(
     shift = kinematics.centres(path, time, values)[0] - centres
     moved = shift - slopes @ (values - s)
     apart, left = (float(np.median(np.linalg.norm(part, axis=1))) for part in (shift, moved))
-    return found, recording, values, (apart, left), estimation.former
+    return found, recording, values, (apart, left), estimation.last
 
 
 def _clock_error(found: Calibration, log: SkinLog, shift: float) -> float:

@@ -129,7 +129,8 @@ def _attempt(
     start = coactivation.initial_estimate(data, trilaterate.least_squares(data))
     live, reasons = coactivation.live_taxels(data, start, stuck.rows)
     stage.expect(USUAL_STEPS)
-    data, weight = with_learned_response(data, start.points), np.ones(len(data.pressure))
+    data = with_learned_response(data, start.points)
+    weight = every = np.ones(len(data.pressure))
     if former is not None and former.serves(live):
         effects, weight = resumed(data, live, former, stage), former.weight(data)
         first = effects.unknowns, effects.deviations
@@ -142,11 +143,11 @@ def _attempt(
     if len(bad := _displaced(effects, recorded, LAGGING)):  # departures would stand in for them
         return recorded.without_contacts(bad), excluded
     effects, departures, ended = _searched(effects, first, excluded, former)
-    frozen = _frozen(effects, live, np.ones(len(weight)))
+    frozen = _frozen(effects, live, every)
     if _lacks(effects, frozen):
         effects = _restarted(effects, frozen)
         effects.converge()
-        frozen = _frozen(effects, live, np.ones(len(weight)))
+        frozen = _frozen(effects, live, every)
     if ended and len(bad := _displaced(effects, recorded)):
         return recorded.without_contacts(bad), excluded
     for repeated in range(MAX_ROUNDS if ended else 1):  # others would not bring it to rest

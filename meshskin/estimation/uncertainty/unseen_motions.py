@@ -46,7 +46,8 @@ def unseen_motions(data: Measurements) -> tuple[str, ...]:
             f"the believed surface does not show {words} of all contact points: if the body's pose "
             "was wrong by it, the whole map is displaced by as much"
         )
-    if np.quantile(np.abs(hit.distance), MOST) < ON_SURFACE:
+    stated = data.belief.surface_sigma > 0.0
+    if not stated and np.quantile(np.abs(hit.distance), MOST) < ON_SURFACE:
         found.append(
             "the contact points were computed on the believed surface, as their distances from it "
             f"are below {1e6 * ON_SURFACE:g} um: no error of the body, of the skin's thickness or "

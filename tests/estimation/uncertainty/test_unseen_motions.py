@@ -50,6 +50,7 @@ def test_an_ellipsoid_shows_every_motion():
     log = ms.press(scene, points)
     (words,) = unseen_motions(gather(log, scene.belief()))
     assert "were computed on the believed surface" in words
+    assert not unseen_motions(gather(log, scene.belief(surface_sigma=0.1e-3)))
     scatter = 5e-6 * np.random.default_rng(1).normal(size=log.points.shape)
     measured = log.with_columns(points=log.points + scatter)
     assert not unseen_motions(gather(measured, scene.belief()))
