@@ -18,9 +18,8 @@ from .measurements import Measurements
 
 MIN_READINGS, FEW_READINGS, FEW_GAIN = 10, 5, 0.5
 """Readings that most taxels must have: fewer may spread less at a wrong delay by chance. Of fewer,
-down to the second number, the spread must fall to the part FEW_GAIN: 7 to 9 readings that are 2 or
-3 frames late spread 0.16 to 0.25 times as much moved back, those in time least as they are.
-"""
+down to the second number, the spread must fall to the part FEW_GAIN. Chosen: two frames late it
+falls to 0.02, in time it rises (test_late_readings_of_which_taxels_have_few)."""
 LATE_GAIN = 0.98
 """Mean square distance of a taxel's contacts with the readings moved to other frames, relative to
 the present one, below which they are late: 0.94 to 0.96 for one frame at 0.5 mm a frame. In
