@@ -1,13 +1,17 @@
 """What the heights of the indenter over the body show of the robot's unknowns.
 
-    h(c(s)) = R - exp(k) depth,    c(s): the indenter's centre by forward kinematics
+    h(c(s)) + l d = R - exp(k + e ln(F / F0)) depth,    c(s): the indenter's centre
 
-In a contact the centre is as high over the believed surface as the radius of the indenter less the
-depth of the indentation. Over a body that curves in several directions these heights determine most
-offsets of the joints, the mount and the indenter's place. The rest are directions in which the
-body slides along itself, which only the readings tell. The clock is left to them, too: a contact
-that is held at a force keeps its height, and the noise of the joints' rates would pass for
-information.
+In a contact the centre, by forward kinematics, is as high over the real surface as the radius of
+the indenter less the depth of the indentation. The real surface is below the smooth one of a mesh
+by a part l of the latter's height d over the faces: one part for all of a mesh, as exporters and
+decimations treat its faces alike. Depths grow with the force by another exponent than the contact
+model's: that of a thin layer is lower than that of a half-space.
+
+Over a body that curves in several directions these heights determine most offsets of the joints,
+the mount and the indenter's place. The rest are directions in which the body slides along itself,
+which only the readings tell. The clock is left to them, too: a contact that is held at a force
+keeps its height, and the noise of the joints' rates would pass for information.
 """
 
 from __future__ import annotations
@@ -21,11 +25,12 @@ from ...contact import BATCHED, ContactModel
 from ...core.arrays import Array, huber_cost, huber_weights, robust_sigma, sums_by_group
 from ...core.errors import CalibrationError
 from ...geometry.body import Body
+from ...geometry.surface.closest_point import Closest
 from ...robot.contact_kinematics import JOINT_DELAY, JOINT_OFFSET, ContactKinematics, JointPath
 from ...scene.belief import Belief
 from ..data.registration import MIN_SCATTER, cells
 from ..data.resolve_belief import nominal_patches
-from .mesh_error import MeshError
+from .mesh_error import MeshError, over_faces
 
 MAX_ITERATIONS = 25
 """Largest number of damped Gauss-Newton steps. The heights are met within five; along directions
@@ -35,6 +40,8 @@ MAX_TRIALS = 12
 CORRECTIONS = 2
 """Steps back to the heights after each step: where the body slides along itself they form a curved
 valley, along which straight steps would be short."""
+SURFACE_STEPS = 4
+"""Gauss-Newton steps of the entries of SURFACE alone: depths are exponential in one of them."""
 CONVERGED = 0.1
 """Length of the next step, in standard deviations, from which nothing moves that counts."""
 FAR = 3e-4
@@ -47,8 +54,16 @@ STROKE = 2.0
 """Time, s, in which the force of a touch is alike. Chosen: that of a stroke; controllers of a force
 correct it within a second."""
 LOG_DEPTH = 0.7
-"""Standard deviation of the logarithm of the depths: that of E* within a factor e, as
+"""Standard deviation of the logarithm k of the depths: that of E* within a factor e, as
 `PRIORS["modulus"]`, of which the depth is the power -2/3."""
+EXPONENT = 0.2
+"""Standard deviation of the exponent e of the force: Hertz' 2/3, 1/2 of springs, and 1/3 of a thin
+incompressible layer (Johnson, "Contact Mechanics" (1985), sections 4.2, 4.3, 5.8) are within two.
+"""
+FLATNESS = 3**-0.5
+"""Standard deviation of the part l of the height over the faces, which lies between 0 and 1."""
+SURFACE = np.array([LOG_DEPTH, EXPONENT, FLATNESS])
+"""Standard deviations of k, e, l: the last entries of x."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +86,8 @@ class LinearizedHeights:
 
 @dataclass(frozen=True)
 class Heights:
-    """The heights of m contacts as functions of x (K + 1,): the unknowns of the robot, and the
-    logarithm of the factor of all depths."""
+    """The heights of m contacts as functions of x (K + 3,): the K unknowns of the robot, and those
+    of SURFACE."""
 
     model: ContactKinematics
     path: JointPath
@@ -88,41 +103,45 @@ class Heights:
     """Error of the body's surface."""
     touch: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Number (m,) of the touch of each contact; empty: each contact is a touch of its own."""
+    force: Array | float = 1.0
+    """Forces (m,), N, of the contacts, or that of all."""
 
     @property
     def precision(self) -> Array:
-        """Precisions (K + 1,) of x before any measurement."""
-        return np.append(self.model.sigma, LOG_DEPTH) ** -2.0
+        """Precisions (K + 3,) of x before any measurement."""
+        return np.append(self.model.sigma, SURFACE) ** -2.0
+
+    def sunk(self, x: Array) -> Array:
+        """Depths (m,), m, of the indentations at x (K + 3,)."""
+        return np.asarray(np.exp(x[-3] + x[-2] * self._load) * self.depth)
+
+    @cached_property
+    def _load(self) -> Array | float:
+        """Logarithms (m,) of the forces, or that of all, over the typical one."""
+        return np.asarray(np.log(self.force / np.median(self.force)))
 
     def residuals(self, x: Array) -> tuple[Array, Array, Array]:
-        """Heights (m,), m, over those of a contact, their derivatives (m, K + 1), and the contact
+        """Heights (m,), m, over those of a contact, their derivatives (m, K + 3), and the contact
         points (m, 3), m."""
-        s, columns = x[:-1], self.model.columns
+        s, columns = x[:-3], self.model.columns
         centres, slopes = self.model.centres(self.path, self.time, s)
-        height, points, normals = surface_heights(self.model, self.body, centres, s)
-        sunk = np.exp(x[-1]) * self.depth
+        scale, hit = closest_at_scale(self.model, self.body, centres, s)
+        points, sunk, over = scale * hit.point, self.sunk(x), scale * over_faces(self.body, hit)
         jacobian = np.empty((len(centres), len(x)))
-        jacobian[:, :-1] = np.einsum("mi,mik->mk", normals, slopes)
-        jacobian[:, -1] = sunk
+        jacobian[:, :-3] = np.einsum("mi,mik->mk", hit.normal, slopes)
+        jacobian[:, -3:] = np.column_stack([sunk, sunk * self._load, over])
         if "clock_offset" in columns:
             jacobian[:, columns["clock_offset"]] = 0.0
         if "indenter_radius" in columns:
             jacobian[:, columns["indenter_radius"]] = -1.0
         if "mesh_scale" in columns:
-            outward = np.einsum("mi,mi->m", normals, points)
+            outward = np.einsum("mi,mi->m", hit.normal, points)
             jacobian[:, columns["mesh_scale"]] = -outward[:, None]
         radius = self.radius + self.model.value("indenter_radius", s)
-        return height - (radius - sunk), jacobian, points
-
-    def _weak(self, jacobian: Array) -> np.ndarray:
-        """Entries of x, delays, that change the heights by less than MIN_SCATTER in their
-        standard deviations: errors that many heights share would pass for information."""
-        delays = np.arange(len(self.precision))[self.model.columns.get(JOINT_DELAY, slice(0))]
-        effect = np.sqrt(np.mean(jacobian[:, delays] ** 2, axis=0) / self.precision[delays])
-        return np.asarray(delays[effect < MIN_SCATTER])
+        return scale * hit.distance + x[-1] * over - (radius - sunk), jacobian, points
 
     def fit(self, start: Array | None = None) -> Array:
-        """x (K + 1,) that meets the heights, from a start, by default zero.
+        """x (K + 3,) that meets the heights, from a start, by default zero.
 
         Raises CalibrationError for heights that no x within its priors meets, and for indentations
         deeper than the indenter's radius.
@@ -141,7 +160,7 @@ class Heights:
                 limit=f"{1e3 * MAX_SCATTER:g} mm",
                 remedy="check the body's link and mount, the indenter's place, units and clocks",
             )
-        if (sunk := float(np.median(np.exp(x[-1]) * self.depth))) > self.radius:
+        if (sunk := float(np.median(self.sunk(x)))) > self.radius:
             raise CalibrationError(
                 "the contacts that follow from the joint angles are deeper than the indenter",
                 value=f"{1e3 * sunk:.3g} mm",
@@ -151,7 +170,7 @@ class Heights:
         return x
 
     def _aside(self) -> Array:
-        """Other starts (2, K + 1): one standard deviation from zero, to both sides, along the
+        """Other starts (2, K + 3): one standard deviation from zero, to both sides, along the
         direction that moves the heights most. Contacts that are believed a radius too deep are on
         the other side of a thin wall, or below a crease, from where the fit does not return."""
         sigma = self.precision**-0.5
@@ -160,7 +179,7 @@ class Heights:
         return np.array([sigma * most, -sigma * most])
 
     def _descended(self, x: Array) -> Array:
-        """x (K + 1,) of least cost, by steps from a start."""
+        """x (K + 3,) of least cost, by steps from a start."""
         prior = self.precision
         pulls = prior.copy()
         if "clock_offset" in self.model.columns:
@@ -173,11 +192,11 @@ class Heights:
             gradient = jacobian.T @ (weight * r) + pulls * x
             if gradient @ np.linalg.solve(hessian, gradient) < CONVERGED**2:
                 break
-            cost = _cost(r, scatter) / alike + float(prior @ x**2) / 2
+            cost = huber_cost(r / scatter) / alike + float(prior @ x**2) / 2
             for _ in range(MAX_TRIALS):
                 step = -np.linalg.solve(hessian + damping * np.diag(prior), gradient)
                 trial, found = self._corrected(x + step, r + jacobian @ step, weight)
-                if _cost(found[0], scatter) / alike + float(prior @ trial**2) / 2 < cost:
+                if huber_cost(found[0] / scatter) / alike + float(prior @ trial**2) / 2 < cost:
                     x, (r, jacobian, points), damping = trial, found, damping / 10
                     break
                 damping *= 10
@@ -188,7 +207,7 @@ class Heights:
     def _corrected(
         self, x: Array, expected: Array, weight: Array
     ) -> tuple[Array, tuple[Array, Array, Array]]:
-        """x (K + 1,) moved as little as brings the residuals to those `expected` (m,), m, and the
+        """x (K + 3,) moved as little as brings the residuals to those `expected` (m,), m, and the
         residuals there."""
         found = self.residuals(x)
         for _ in range(CORRECTIONS):
@@ -200,7 +219,7 @@ class Heights:
 
     def _weights(self, r: Array, jacobian: Array, points: Array) -> tuple[Array, float]:
         """Precisions (m,), 1/m^2, of the heights with residuals r (m,) and derivatives `jacobian`
-        (m, K + 1), and their design effect, by which these are divided.
+        (m, K + 3), and their design effect, by which these are divided.
 
         Residuals are alike in a cell of the body by errors of its surface, and in a stroke by its
         force. The fit takes up as many strokes as it determines unknowns.
@@ -226,31 +245,39 @@ class Heights:
 
     def _free_strokes(self, weight: Array, jacobian: Array) -> float:
         """Strokes less the unknowns that heights of precisions `weight` (m,) and derivatives
-        `jacobian` (m, K + 1) determine; 0 where that leaves less than half of the strokes, whose
+        `jacobian` (m, K + 3) determine; 0 where that leaves less than half of the strokes, whose
         residuals do not show the errors that they share."""
         data, count = jacobian.T @ (weight[:, None] * jacobian), int(self._strokes.max()) + 1
         free = count - float(np.trace(np.linalg.solve(data + np.diag(self.precision), data)))
         return free if free > count / 2 else 0.0
 
-    def with_depth(self, s: Array) -> Array:
-        """x (K + 1,) of the unknowns s (K,) with the depths that they leave to the contacts."""
-        r = self.residuals(np.append(s, 0.0))[0]
-        factor = np.median((self.depth - r) / self.depth)
-        return np.append(s, np.log(np.clip(factor, *np.exp([-3 * LOG_DEPTH, 3 * LOG_DEPTH]))))
+    def with_surface(self, s: Array) -> Array:
+        """x (K + 3,) of the unknowns s (K,) with the depths and the surface that they leave to the
+        contacts."""
+        x = np.append(s, np.zeros(3))
+        for _ in range(SURFACE_STEPS):
+            r, jacobian, points = self.residuals(x)
+            weight, slope = self._weights(r, jacobian, points)[0], jacobian[:, -3:]
+            hessian = slope.T @ (weight[:, None] * slope) + np.diag(SURFACE**-2)
+            x[-3:] -= np.linalg.solve(hessian, slope.T @ (weight * r) + x[-3:] / SURFACE**2)
+        return x
 
     def linearized(self, x: Array) -> LinearizedHeights:
-        """The unknowns by heights that are linear about x (K + 1,).
+        """The unknowns by heights that are linear about x (K + 3,).
 
         Residuals that are alike in a cell of the body, or in a stroke, count as fewer, and those in
-        a cell share the error of the mesh. Delays that the heights hardly tell stay as they were
-        known before.
+        a cell share the error of the mesh. Delays that change the heights by less than MIN_SCATTER
+        in their standard deviations stay as they were known before: errors that many heights share
+        would pass for information.
         """
         r, jacobian, points = self.residuals(x)
-        weight, count = self._weights(r, jacobian, points)[0], len(x) - 1
+        weight, count = self._weights(r, jacobian, points)[0], len(x) - 3
         weighted = self.mesh_error.without(points, weight, jacobian)
         hessian = jacobian.T @ weighted + np.diag(self.precision)
         gradient = weighted.T @ r + self.precision * x
-        if len(weak := self._weak(jacobian)):
+        delays = np.arange(len(x))[self.model.columns.get(JOINT_DELAY, slice(0))]
+        effect = np.sqrt(np.mean(jacobian[:, delays] ** 2, axis=0) / self.precision[delays])
+        if len(weak := delays[effect < MIN_SCATTER]):
             share = np.linalg.solve(hessian[np.ix_(weak, weak)], hessian[weak])
             gradient = gradient - share.T @ gradient[weak]
             hessian = hessian - share.T @ hessian[weak]
@@ -285,24 +312,18 @@ def depths(belief: Belief, curvature: Array, force: Array) -> Array:
     return np.asarray(nominal_patches(model, belief, force, curvature).depth)
 
 
-def surface_heights(
+def closest_at_scale(
     model: ContactKinematics, body: Body, centres: Array, s: Array
-) -> tuple[Array, Array, Array]:
-    """Signed heights (m,), m, of `centres` (m, 3) over the body at its scale of s (K,), with the
-    closest points (m, 3) and normals there."""
+) -> tuple[float, Closest]:
+    """The body's scale of s (K,), and what of the body as it is given is closest to `centres`
+    (m, 3), m, over the scaled one."""
     scale = float(np.exp(model.value("mesh_scale", s)))
-    hit = body.closest(centres / scale)
-    return scale * hit.distance, scale * hit.point, hit.normal
+    return scale, body.closest(centres / scale)
 
 
 def _scatter(r: Array) -> float:
     """Robust standard deviation, m, of residuals (m,), m."""
     return max(robust_sigma(r), MIN_SCATTER)
-
-
-def _cost(r: Array, scatter: float) -> float:
-    """Huber's cost of residuals (m,), m."""
-    return huber_cost(r / scatter)
 
 
 def design_effect(group: np.ndarray, residuals: Array) -> float:

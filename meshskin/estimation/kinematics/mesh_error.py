@@ -35,8 +35,7 @@ class MeshError:
         `stated` of it; the former is zero for a primitive."""
         if body.exact is not None:
             return cls(stated)
-        corner = body.mesh.triangles[hit.face, 0]
-        over = np.einsum("mi,mi->m", hit.point - corner, body.mesh.face_normals[hit.face])
+        over = over_faces(body, hit)
         width = float(np.sqrt(np.median(body.mesh.area_faces[hit.face])))
         return cls(float(np.hypot(stated, np.sqrt(np.mean(over**2) / 3))), max(CELL, width))
 
@@ -52,3 +51,12 @@ class MeshError:
         share = 1 / (np.bincount(cell, weight) + self.sigma**-2)
         common = sums_by_group(weighted, cell) * share[:, None]
         return np.asarray(weighted - weight[:, None] * common[cell])
+
+
+def over_faces(body: Body, hit: Closest) -> Array:
+    """Heights (m,), m, of the smooth surface over the planes of the faces at the points `hit`; 0 on
+    a primitive, whose surface is known."""
+    if body.exact is not None:
+        return np.zeros(len(hit.point))
+    corner = body.mesh.triangles[hit.face, 0]
+    return np.einsum("mi,mi->m", hit.point - corner, body.mesh.face_normals[hit.face])

@@ -46,3 +46,50 @@ def test_contacts_that_are_believed_inside_a_thin_wall_return_to_its_outer_side(
     heights = Heights(Moved(), path, time, body, RADIUS, np.full(80, DEPTH))
     found = heights.fit()
     np.testing.assert_allclose(found[:3], truth, atol=2e-4)
+
+
+def z_scores(heights, truth):
+    """Errors of the displacement by the heights, in their standard deviations."""
+    fit = heights.linearized(heights.fit())
+    return (fit.mean - truth) / np.sqrt(np.diag(fit.covariance))
+
+
+def on_ellipsoid(faces, count, rng):
+    """An ellipsoid of a number of faces, points (count, 3) inside its faces, and their normals."""
+    body = ms.Body.ellipsoid((0.05, 0.04, 0.03), faces)
+    face = rng.integers(len(body.mesh.faces), size=count)
+    points = np.einsum("mi,mij->mj", rng.dirichlet((3, 3, 3), count), body.mesh.triangles[face])
+    return body, points, body.mesh.face_normals[face]
+
+
+def test_depths_grow_with_another_power_of_the_force_than_believed():
+    """Those of springs, by the 2/3 of Hertz: the exponent is estimated with the heights. Taken for
+    known it displaces the body by several standard deviations."""
+    rng = np.random.default_rng(4)
+    body, force = ms.Body.ellipsoid((0.05, 0.04, 0.03)), np.exp(0.3 * rng.normal(size=200))
+    way = rng.normal(size=(200, 3)) * [1.0, 1.0, 0.4] + [0.0, 0.0, 1.0]
+    hit = body.closest(0.1 * way / np.linalg.norm(way, axis=1)[:, None])
+    sunk = 1.5 * DEPTH * force**0.5 + 3e-6 * rng.normal(size=200)
+    truth, time = np.array([1e-3, -2e-3, 2e-3]), np.arange(200.0)
+    path = JointPath(time, hit.point + (RADIUS - sunk)[:, None] * hit.normal - truth)
+    believed = Moved(), path, time, body, RADIUS, DEPTH * force ** (2 / 3)
+    known, free = Heights(*believed), Heights(*believed, force=force)
+    assert np.abs(z_scores(free, truth)).max() < 3
+    assert free.fit()[-2] == pytest.approx(0.5 - 2 / 3, abs=0.03)
+    assert np.abs(z_scores(known, truth)).max() > 5
+
+
+def test_the_part_that_faces_are_below_the_smooth_surface_is_estimated():
+    """A body whose real surface is that of the coarse faces, by contacts on a part of it."""
+    rng = np.random.default_rng(5)
+    body, points, normals = on_ellipsoid(320, 600, rng)
+    body = ms.Body("facets", body.mesh)
+    part = normals[:, 0] > 0.2
+    points, normals = points[part], normals[part]
+    truth, time = np.array([1e-3, -2e-3, 2e-3]), np.arange(float(part.sum()))
+    centres = points + (RADIUS - DEPTH) * normals
+    depth = np.full(len(time), DEPTH)
+    heights = Heights(Moved(), JointPath(time, centres - truth), time, body, RADIUS, depth)
+    found = heights.fit()
+    assert found[-1] == pytest.approx(1.0, abs=0.2)
+    assert np.abs(z_scores(heights, truth)).max() < 4
