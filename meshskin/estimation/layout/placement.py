@@ -122,7 +122,7 @@ class Modules:
     @property
     def _arms(self) -> Array:
         """From the origin of its module to each taxel (n, 2)."""
-        return turned(self.offsets, self.angles[self.module])
+        return rotated(self.offsets, self.angles[self.module])
 
     @property
     def positions(self) -> Array:
@@ -166,12 +166,12 @@ def fitted_modules(module: np.ndarray, offsets: Array, points: Array) -> tuple[M
         unit = float(np.sqrt(np.sum(o**2) / np.sum(x**2)))
         turn = np.bincount(module, o[:, 0] * x[:, 1] - o[:, 1] * x[:, 0])
         angles = np.arctan2(turn, np.bincount(module, np.sum(o * x, axis=1)))
-        found = Modules(module, offsets, unit * outer - turned(inner, angles), angles)
+        found = Modules(module, offsets, unit * outer - rotated(inner, angles), angles)
         fits.append((float(np.sum((found.positions - unit * image) ** 2)), found, unit))
     return min(fits, key=lambda fit: fit[0])[1:]
 
 
-def turned(points: Array, angles: Array | float) -> Array:
+def rotated(points: Array, angles: Array | float) -> Array:
     """Points (k, 2) turned by `angles` (k,) or one angle, rad, about the origin."""
     cosine, sine = np.cos(angles), np.sin(angles)
     x, y = points.T
@@ -281,7 +281,7 @@ def _starts(body: Body, plane: Array, middle: Array) -> list[OnBody]:
     basis = orthonormal_basis(hit.normal[0])[:, :2]
     centred = plane - plane.mean(axis=0)
     return [
-        OnBody.at(body, hit.point[0] + turned(centred * [1.0, image], angle) @ basis.T)
+        OnBody.at(body, hit.point[0] + rotated(centred * [1.0, image], angle) @ basis.T)
         for angle in 2 * np.pi * np.arange(TURNS) / TURNS
         for image in (1.0, -1.0)
     ]

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from ...core.arrays import Array, median_spacing
 from ...core.errors import CalibrationError
 from . import stress
-from .placement import Modules, settled, turned
+from .placement import Modules, rotated, settled
 
 NORMALS = np.deg2rad([-90.0, 30.0, 150.0])
 """Directions of the outward normals of the edges in a module's frame, rad (slots.CORNERS)."""
@@ -59,7 +59,7 @@ def tiled(modules: Modules, near: Array, unit: float) -> tuple[Modules, Array]:
         own = part == k
         rows = own[modules.module]
         turn, shift = _alignment(grown.positions[rows], modules.positions[rows])
-        origins[own] = turned(origins[own], turn) + shift
+        origins[own] = rotated(origins[own], turn) + shift
         angles[own] += turn
     placed = replace(modules, origins=origins, angles=angles)
     if part.max() > 0:
@@ -137,7 +137,7 @@ def _alignment(source: Array, target: Array) -> tuple[float, Array]:
     """Angle, rad, and displacement (2,), m, that take `source` (m, 2) to `target` best."""
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)
     angle = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
-    return angle, target.mean(axis=0) - turned(source, angle).mean(axis=0)
+    return angle, target.mean(axis=0) - rotated(source, angle).mean(axis=0)
 
 
 def _parts_placed(
@@ -155,5 +155,5 @@ def _parts_placed(
     bodies, _ = settled(start, near, unit, free=True, weight=weight)
     turn, shift = _alignment(bodies.positions, target)
     whole = Modules(part, modules.origins, bodies.origins, bodies.angles)
-    origins = turned(whole.positions, turn) + shift
+    origins = rotated(whole.positions, turn) + shift
     return replace(modules, origins=origins, angles=modules.angles + bodies.angles[part] + turn)
