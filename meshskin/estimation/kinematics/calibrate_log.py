@@ -85,11 +85,9 @@ def calibrate_log(
             value='readings="pressure", no force in the log',
             remedy='give the belief readings="raw", or a log with forces',
         )
-    reference = belief.force_reference
-    if reference is None:
-        reference = typical_force(log)
-    belief = replace(belief, force_reference=reference)
-    last, rounds, failure = _last_round(log, kinematics, path, belief, reference, progress)
+    if belief.force_reference is None:
+        belief = replace(belief, force_reference=typical_force(log))
+    last, rounds, failure = _last_round(log, kinematics, path, belief, progress)
     heights, x, clock = last.heights, last.x, last.clock
     kinematics, as_believed = heights.model, np.zeros(len(x))
     if clock:
@@ -122,6 +120,8 @@ class _Round:
     """Median displacement, m, of the contacts by what was found."""
     moved: float
     """Its part, m, that the linear table does not have."""
+    former: Former | None = None
+    """The estimate, if another one can begin from it."""
 
     @property
     def at_rest(self) -> bool:
@@ -136,7 +136,6 @@ def _last_round(
     kinematics: ContactKinematics,
     path: JointPath,
     belief: Belief,
-    reference: float,
     progress: Progress | None,
 ) -> tuple[_Round, int, str]:
     """The last round that was estimated, the number of rounds, and why the one after it was not.
@@ -145,7 +144,7 @@ def _last_round(
     before then holds, if it displaces its contacts linearly, on the clock that they were chosen on.
     Raises CalibrationError where no such round is estimated.
     """
-    used, clock, heights, x = _started(log, kinematics, path, belief, reference)
+    used, clock, heights, x = _started(log, kinematics, path, belief)
     rounds, moved, shift = 0, np.inf, np.inf
     last: _Round | None = None
     former: Former | None = None
@@ -153,22 +152,17 @@ def _last_round(
     while rounds < MAX_ROUNDS and (moved > LINEAR or shift > APART):
         known = replace(belief, surface_sigma=heights.mesh_error.sigma, noise_sigma=noise)
         try:
-            found, recording, values, (shift, moved), former = _estimated(
-                used, heights, x, known, reference, progress, former
-            )
-            former = former if moved < APART else None
-            x = heights.with_depth(values)
-            last = _Round(found, recording, heights, x, clock, shift, moved)
-            rounds += 1
+            last = _estimated(used, heights, x, clock, known, progress, former)
+            x, shift, moved, rounds = last.x, last.shift, last.moved, rounds + 1
+            former, found, before = last.former if moved < APART else None, last.found, clock
             if noise is None and not _exceeds(found, belief.noise_sigma):
                 noise, moved, rounds = belief.noise_sigma, np.inf, rounds - 1
-            late, before = _clock_error(found, log, shift), clock
+            late = _clock_error(found, log, shift)
             if late and rounds < MAX_ROUNDS:
-                clock, moved, last = clock + late, np.inf, None
-                used, clock, heights, start = _started(
-                    log, kinematics, path, belief, reference, clock
-                )
-                x = start if abs(clock - before) > abs(late) / 2 else heights.with_depth(values)
+                last, moved, s = None, np.inf, x[:-1]
+                used, clock, heights, x = _started(log, kinematics, path, belief, clock + late)
+                if abs(clock - before) <= abs(late) / 2:
+                    x = heights.with_depth(s)
         except CalibrationError as error:
             if last is None or not last.at_rest:
                 raise
@@ -181,15 +175,13 @@ def _estimated(
     log: SkinLog,
     heights: Heights,
     x: Array,
+    clock: float,
     belief: Belief,
-    reference: float,
     progress: Progress | None,
     former: Former | None,
-) -> tuple[Calibration, Recording, Array, tuple[float, float], Former | None]:
-    """The calibration with the contacts at x (K + 1,), their recording, the unknowns (K,) that it
-    finds, and the median displacements, m, of the contacts with these: from where they were, and
-    from where the linear table put them; and its estimate. former: that of the round before, if
-    this one can begin from it."""
+) -> _Round:
+    """The round with the contacts at x (K + 1,). former: the estimate of the round before, if this
+    one can begin from it."""
     kinematics, path, time, s = heights.model, heights.path, heights.time, x[:-1]
     linear = heights.linearized(x)
     centres, slopes = kinematics.centres(path, time, s)
@@ -197,7 +189,7 @@ def _estimated(
     motion = ContactMotion(kinematics.labels, kinematics.sigma, slopes, linear.mean, linear.root, u)
     _, points, normals = surface_heights(kinematics, belief.body, centres, s)
     off = points + linear.residuals[:, None] * normals
-    frames, force = np.arange(len(log.time)), _forces(log, reference)
+    frames, force = np.arange(len(log.time)), _forces(log, belief)
     recording = recording_of(log, frames, off, normals, force, belief.readings)
     estimation = Estimation(recording, _corrected(belief, kinematics, s, motion), former=former)
     found = estimation.calibrate(progress=progress)
@@ -205,7 +197,8 @@ def _estimated(
     shift = kinematics.centres(path, time, values)[0] - centres
     moved = shift - slopes @ (values - s)
     apart, left = (float(np.median(np.linalg.norm(part, axis=1))) for part in (shift, moved))
-    return found, recording, values, (apart, left), estimation.last
+    x = heights.with_depth(values)
+    return _Round(found, recording, heights, x, clock, apart, left, estimation.last)
 
 
 def _clock_error(found: Calibration, log: SkinLog, shift: float) -> float:
@@ -242,12 +235,10 @@ def _started(
     kinematics: ContactKinematics,
     path: JointPath,
     belief: Belief,
-    reference: float,
     clock: float = 0.0,
 ) -> tuple[SkinLog, float, Heights, Array]:
     """The log of the steady contacts, the first offset of the clocks, s, their heights on that
-    clock, and x (K + 1,) that meets these. reference: force, N, where the log has none; clock: an
-    offset, s, to begin with.
+    clock, and x (K + 1,) that meets these. clock: an offset, s, to begin with.
 
     Delays of the joints, which the heights tell, and the clock displace contacts alike: the offset
     of the clocks is sought again at the delays. Forces are those at the times of the contacts.
@@ -274,9 +265,10 @@ def _started(
         check_on_body(kinematics, path, log.time[frames] - clock, *where, named=False)
         centres = timed.centres(path, log.time[frames] - clock, s)[0]
         above = surface_heights(timed, belief.body, centres, s)[0]
-        depth = float(depths(belief, np.zeros((1, 2)), np.array([reference]))[0])
+        reference = np.array([belief.force_reference], dtype=float)
+        depth = float(depths(belief, np.zeros((1, 2)), reference)[0])
         used, means = steady(on_clock, path, frames, centres, above, depth, belief.indenter.radius)
-        time, force = used.time - clock, _forces(used, reference)
+        time, force = used.time - clock, _forces(used, belief)
         timed = timed_by_the_fastest(kinematics, means, time, belief.body)
         begin = on_clock.time[[touch.start for touch in on_clock.contacts]]
         touch = np.searchsorted(begin, used.time, side="right")
@@ -285,9 +277,9 @@ def _started(
     return used, clock, heights, x
 
 
-def _forces(log: SkinLog, reference: float) -> Array:
+def _forces(log: SkinLog, belief: Belief) -> Array:
     """Forces (n,), N, of the frames of a log: its own, or the reference."""
-    return np.full(len(log.time), reference) if log.force is None else log.force
+    return np.full(len(log.time), belief.force_reference) if log.force is None else log.force
 
 
 def _heights(

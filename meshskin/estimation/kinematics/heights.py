@@ -114,13 +114,6 @@ class Heights:
         radius = self.radius + self.model.value("indenter_radius", s)
         return height - (radius - sunk), jacobian, points
 
-    def _weak(self, jacobian: Array) -> np.ndarray:
-        """Entries of x, delays, that change the heights by less than MIN_SCATTER in their
-        standard deviations: errors that many heights share would pass for information."""
-        delays = np.arange(len(self.precision))[self.model.columns.get(JOINT_DELAY, slice(0))]
-        effect = np.sqrt(np.mean(jacobian[:, delays] ** 2, axis=0) / self.precision[delays])
-        return np.asarray(delays[effect < MIN_SCATTER])
-
     def fit(self, start: Array | None = None) -> Array:
         """x (K + 1,) that meets the heights, from a start, by default zero.
 
@@ -173,11 +166,11 @@ class Heights:
             gradient = jacobian.T @ (weight * r) + pulls * x
             if gradient @ np.linalg.solve(hessian, gradient) < CONVERGED**2:
                 break
-            cost = _cost(r, scatter) / alike + float(prior @ x**2) / 2
+            cost = huber_cost(r / scatter) / alike + float(prior @ x**2) / 2
             for _ in range(MAX_TRIALS):
                 step = -np.linalg.solve(hessian + damping * np.diag(prior), gradient)
                 trial, found = self._corrected(x + step, r + jacobian @ step, weight)
-                if _cost(found[0], scatter) / alike + float(prior @ trial**2) / 2 < cost:
+                if huber_cost(found[0] / scatter) / alike + float(prior @ trial**2) / 2 < cost:
                     x, (r, jacobian, points), damping = trial, found, damping / 10
                     break
                 damping *= 10
@@ -242,15 +235,18 @@ class Heights:
         """The unknowns by heights that are linear about x (K + 1,).
 
         Residuals that are alike in a cell of the body, or in a stroke, count as fewer, and those in
-        a cell share the error of the mesh. Delays that the heights hardly tell stay as they were
-        known before.
+        a cell share the error of the mesh. Delays that change the heights by less than MIN_SCATTER
+        in their standard deviations stay as they were known before: errors that many heights share
+        would pass for information.
         """
         r, jacobian, points = self.residuals(x)
         weight, count = self._weights(r, jacobian, points)[0], len(x) - 1
         weighted = self.mesh_error.without(points, weight, jacobian)
         hessian = jacobian.T @ weighted + np.diag(self.precision)
         gradient = weighted.T @ r + self.precision * x
-        if len(weak := self._weak(jacobian)):
+        delays = np.arange(len(x))[self.model.columns.get(JOINT_DELAY, slice(0))]
+        effect = np.sqrt(np.mean(jacobian[:, delays] ** 2, axis=0) / self.precision[delays])
+        if len(weak := delays[effect < MIN_SCATTER]):
             share = np.linalg.solve(hessian[np.ix_(weak, weak)], hessian[weak])
             gradient = gradient - share.T @ gradient[weak]
             hessian = hessian - share.T @ hessian[weak]
@@ -298,11 +294,6 @@ def surface_heights(
 def _scatter(r: Array) -> float:
     """Robust standard deviation, m, of residuals (m,), m."""
     return max(robust_sigma(r), MIN_SCATTER)
-
-
-def _cost(r: Array, scatter: float) -> float:
-    """Huber's cost of residuals (m,), m."""
-    return huber_cost(r / scatter)
 
 
 def design_effect(group: np.ndarray, residuals: Array) -> float:

@@ -138,17 +138,14 @@ class LogCalibration(Value, Card):
         }
         return {"height_before_mm": before, "height_mm": after, "joints": joints}
 
-    def _chance(self, sigma: Mapping[str, float]) -> float:
-        """Probability that unknowns of the standard deviations believed are farther from zero."""
-        square = sum((value / sigma[label]) ** 2 for label, (value, _) in self.unknowns.items())
-        return float(gammaincc(len(sigma) / 2, square / 2)) if sigma else 1.0
-
     @property
     def contradictions(self) -> tuple[str, ...]:
         """Unknowns that are farther from zero than was believed of them, in words: a wrong standard
         deviation, or an error that is not declared and that they stand in for; and contacts that
         have not come to rest."""
         sigma = dict(zip(self.kinematics.labels, self.kinematics.sigma, strict=True))
+        square = sum((value / sigma[label]) ** 2 for label, (value, _) in self.unknowns.items())
+        chance = float(gammaincc(len(sigma) / 2, square / 2)) if sigma else 1.0
         found = [
             f"{label} is {value:.3g}, {abs(value) / sigma[label]:.2g} times its believed standard "
             f"deviation of {sigma[label]:.3g}"
@@ -156,7 +153,7 @@ class LogCalibration(Value, Card):
             if abs(value) > CONTRADICTED * sigma[label]
         ]
         found += contradicted(self.calibration)
-        if not found and (chance := self._chance(sigma)) < MIN_CHANCE:
+        if not found and chance < MIN_CHANCE:
             far = sorted(
                 self.unknowns, key=lambda label: -abs(self.unknowns[label][0]) / sigma[label]
             )

@@ -140,21 +140,19 @@ def test_a_first_offset_that_comes_out_as_before_is_no_round_more(small, monkeyp
 def rounds_that(monkeypatch, *given):
     """Let the rounds of a log end as given: by the displacement, m, that the linear table does not
     have, or by an error."""
-    heights = SimpleNamespace(
-        mesh_error=SimpleNamespace(sigma=0.0), with_depth=lambda values: values
-    )
+    heights = SimpleNamespace(mesh_error=SimpleNamespace(sigma=0.0))
     found, ends = SimpleNamespace(unknowns={}, position_sigma=np.full(5, 1e-4)), iter(given)
 
     def estimated(*args):
         end = next(ends)
         if isinstance(end, Exception):
             raise end
-        return found, "recording", end, (1e-5, end), None
+        return log_module._Round(found, "recording", heights, end, 0.0, 1e-5, end)
 
     monkeypatch.setattr(log_module, "_started", lambda *args: ("log", 0.0, heights, 0.0))
     monkeypatch.setattr(log_module, "_estimated", estimated)
     log, known = SimpleNamespace(force=np.ones(3)), ms.Scene.load("sphere").belief(readings="raw")
-    return log_module._last_round(log, None, None, known, 1.0, None)
+    return log_module._last_round(log, None, None, known, None)
 
 
 def test_a_round_that_fails_leaves_the_one_before(monkeypatch):
