@@ -28,7 +28,7 @@ import numpy as np
 import meshskin as ms
 from meshskin.estimation.layout import coactivity, stress
 from meshskin.estimation.layout.alignment import aligned, root_mean_square
-from meshskin.estimation.layout.placement import rotation
+from meshskin.estimation.layout.placement import rotated
 from meshskin.report import theme
 from meshskin.scene.shipped_scenes import scenes
 from meshskin.skin import slots
@@ -101,7 +101,7 @@ def stress_by_turn(frames: np.ndarray, ids: np.ndarray, modules: np.ndarray) -> 
         own = module == k
         centre = points[ids == slots.PER_MODULE * k + slots.CENTRE]
         for turn in range(3):
-            moved = centre + (points[own] - centre) @ rotation(2 * np.pi * turn / 3).T
+            moved = centre + rotated(points[own] - centre, 2 * np.pi * turn / 3)
             apart = np.linalg.norm(moved[:, None] - points[~own], axis=2)
             pairs = weight[np.ix_(own, ~own)], near[np.ix_(own, ~own)]
             square = pairs[0] * (apart / unit - pairs[1]) ** 2

@@ -144,7 +144,10 @@ def _invert(m: Array, s: Array, tolerance: float) -> Array:
         mean, slope = _compiled()(len(rho), rho, s)
         excess = mean - m
         low, high = np.where(excess >= 0, rho, low), np.where(excess >= 0, high, rho)
-        trial = rho - _newton_step(excess, m, slope)
+        # Newton's step for sqrt(M) = sqrt(m): M vanishes quadratically at the edge of the patch
+        root = np.sqrt(np.maximum(mean, 0.0))
+        slope = np.where(slope < 0, slope, -_MIN_SQUARE)
+        trial = rho - 2 * root * (root - np.sqrt(m)) / slope
         inside = (trial > low) & (trial < high)
         new = np.where(inside, trial, (low + high) / 2)
         done = np.abs(new - rho) < tolerance
@@ -153,9 +156,3 @@ def _invert(m: Array, s: Array, tolerance: float) -> Array:
         m, s, low, high, rho = (v[~done] for v in (m, s, low, high, new))
     out[row] = rho
     return out
-
-
-def _newton_step(excess: Array, m: Array, slope: Array) -> Array:
-    """Newton's step for sqrt(M) = sqrt(m): M vanishes quadratically at the edge of the patch."""
-    root = np.sqrt(np.maximum(excess + m, 0.0))
-    return 2 * root * (root - np.sqrt(m)) / np.where(slope < 0, slope, -_MIN_SQUARE)

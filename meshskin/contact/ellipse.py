@@ -48,14 +48,12 @@ def ellipse_mean(
     error see `NODES`.
     """
     f = functions(x, y, a, b, s, exponent)
-    hertzian = _is_hertzian(exponent)
     total = 0.0
     for k in range(nodes):
         angle = 2 * math.pi * (k + 0.5) / nodes
         cosine, sine = math.cos(angle), math.sin(angle)
         q = ((x + s * cosine) / a) ** 2 + ((y + s * sine) / b) ** 2
-        flux = _hertz_flux(f, q) if hertzian else _flux(f, q, exponent)
-        total = total + flux * (s + cosine * x + sine * y)
+        total = total + _flux(f, q, exponent) * (s + cosine * x + sine * y)
     return total / (nodes * (exponent + 1) * s)
 
 
@@ -98,14 +96,11 @@ def _is_hertzian(exponent: Any) -> bool:
     return isinstance(exponent, float) and exponent == 0.5
 
 
-def _hertz_flux(f: Any, q: Any) -> Any:
-    """phi for m = 1/2 without cancellation: (1 - w^3) / (1 - w^2) with w = sqrt(1 - q)."""
-    w = f.sqrt(f.fmax(1 - q, _MIN_ROOTED))
-    return (1 + w * w / (1 + w)) / f.fmax(q, 1.0)
-
-
 def _flux(f: Any, q: Any, exponent: Any) -> Any:
-    """phi for any exponent."""
+    """phi, for m = 1/2 without cancellation: (1 - w^3) / (1 - w^2) with w = sqrt(1 - q)."""
+    if _is_hertzian(exponent):
+        w = f.sqrt(f.fmax(1 - q, _MIN_ROOTED))
+        return (1 + w * w / (1 + w)) / f.fmax(q, 1.0)
     q = f.fmax(q, _MIN_Q)
     return (1 - f.exp((exponent + 1) * f.log(f.fmax(1 - q, _MIN_ROOTED)))) / q
 

@@ -170,10 +170,8 @@ def relative_curvatures(curvature: Any, indenter_radius: Any) -> tuple[Any, Any]
     tip = 1 / indenter_radius
     first, second = k1 + tip, k2 + tip
     if is_casadi(curvature):
-        f = functions(curvature)
-        return f.fmax(first, MIN_RELATIVE_CURVATURE * tip), f.fmax(
-            second, MIN_RELATIVE_CURVATURE * tip
-        )
+        f, least = functions(curvature), MIN_RELATIVE_CURVATURE * tip
+        return f.fmax(first, least), f.fmax(second, least)
     if not (np.all(first > 0) and np.all(second > 0)):
         raise ContactError(
             HOLLOW,

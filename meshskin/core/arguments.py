@@ -6,7 +6,7 @@ import dataclasses
 import math
 import numbers
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -142,7 +142,7 @@ def check_vectors(
     return rows.reshape(-1, width)
 
 
-def check_name(kind: str, name: str, names: Sequence[str]) -> None:
+def check_name(kind: str, name: object, names: Collection[str]) -> None:
     """Raise UnknownNameError unless `name` is one of `names`; `kind` says what is named."""
     if name not in names:
         raise UnknownNameError(kind, name, names)
@@ -166,8 +166,8 @@ class NamedFields:
     ones."""
 
     def __new__(cls, *args: Any, **values: Any) -> Self:
+        known = cls.__dataclass_fields__  # type: ignore[attr-defined]
         for name in values:
-            if name not in cls.__dataclass_fields__:  # type: ignore[attr-defined]
-                known = cls.__dataclass_fields__  # type: ignore[attr-defined]
+            if name not in known:
                 raise UnknownNameError("field", name, known, f" of a {cls.__name__}")
         return super().__new__(cls)

@@ -102,11 +102,7 @@ def adapt(
     Raises ConfigError for a target outside (0, sensing radius) and for fewer contacts than the
     first pass has; ReachError if no contact can be made.
     """
-    _check(scene, target, most)
-    unreachable: Mapping[int, str] = {}
-    if points is None:
-        points, unreachable = lane_contacts(scene, FIRST_SPACING)
-    points = _checked(points, most)
+    points, unreachable = _first_pass(scene, target, most, points)
     belief, rounds = scene.belief(), _Rounds(target, dict(unreachable))
     stage = Stage(progress, "adapt", len(scene.skin.ids))
     sample = touch(scene, seed)
@@ -139,8 +135,11 @@ def adapt(
                 rounds.give_up(np.array([taxel]), str(failed[0]))
 
 
-def _check(scene: Scene, target: float, most: int) -> None:
-    """Raise ConfigError for arguments of `adapt` that cannot be used."""
+def _first_pass(
+    scene: Scene, target: float, most: int, points: Array | None
+) -> tuple[Array, Mapping[int, str]]:
+    """Points (k, 3), m, of the first pass, and why taxels (by id) cannot be reached. Raises
+    ConfigError for arguments of `adapt` that cannot be used."""
     check_type(Scene, scene, "what is explored")
     check_real("target of an adaptive exploration", target)
     check_integer("most contacts", most, least=1)
@@ -150,10 +149,9 @@ def _check(scene: Scene, target: float, most: int) -> None:
             value=f"{target} m",
             limit=f"above 0, below the {scene.rig.sensing_radius:.2g} m at which a contact is felt",
         )
-
-
-def _checked(points: Array, most: int) -> Array:
-    """The points (k, 3), m, of the first pass. Raises ConfigError."""
+    unreachable: Mapping[int, str] = {}
+    if points is None:
+        points, unreachable = lane_contacts(scene, FIRST_SPACING)
     points = check_vectors("the points of the first pass", points)
     if not len(points):
         raise ConfigError("the first pass needs a contact", value=f"shape {points.shape}")
@@ -164,7 +162,7 @@ def _checked(points: Array, most: int) -> Array:
             limit=f"most={most}",
             remedy="allow more, or give fewer points",
         )
-    return points
+    return points, unreachable
 
 
 @dataclass

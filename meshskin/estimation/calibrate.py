@@ -22,10 +22,12 @@ from .calibration import Calibration, provenance_of
 from .data.gather import gather, gather_or_learn
 from .data.measurements import Measurements
 from .data.patch_shape import MAX_EDGES
+from .data.raw_readings import DENSE
 from .joint import maximum_likelihood
 from .joint.departures import MIN_SCORE
 from .joint.optimum import Optimum
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
+from .layout import estimate as layout
 from .learned import estimate as learned
 from .learned.start import Former
 from .result import EstimatorResult
@@ -79,7 +81,7 @@ class Estimation:
         """The calibration by a method; arguments and errors as `calibrate`."""
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         found, result = self._estimated(method, tolerance, iterations, stage=stage)
-        self.last = result.former if isinstance(result.former, Former) else None
+        self.last = result.former
         begin, places = time.perf_counter(), SecondPlaces(self.data, found)
         found = weighted_means.widened(self._near, places.widened(), result.departures)
         verdict = judge(self.recording, self._near, found, result.departures, places.findings())
@@ -166,7 +168,10 @@ class Estimation:
 
     @cached_property
     def _near(self) -> Measurements:
-        return coactivation.without_rest(self.data)
+        """The readings without distant ones, if taxels are recorded at rest, too."""
+        data = self.data
+        at_rest = np.any(data.counts > DENSE * len(data.points))
+        return coactivation.without_distant_readings(data) if at_rest else data
 
     @cached_property
     def _contact_centroids(self) -> Array:
@@ -238,29 +243,8 @@ class Estimation:
     def _circled(self) -> Measurements:
         return trilaterate.with_noise_off_edges(self.data)
 
-    def trilateration(self, stage: Stage) -> EstimatorResult:
-        """`least_squares`, with covariances scaled by the residuals where the noise is unknown."""
-        return self._scaled(self.least_squares)
-
-    def three_circles(self, stage: Stage) -> EstimatorResult:
-        """Trilateration by three chosen circles, scaled as `trilateration`."""
-        return self._scaled(trilaterate.three_circles(self._circled))
-
-    def eq15(self, stage: Stage) -> EstimatorResult:
-        """The paper's trilateration as printed."""
-        return trilaterate.require_any(eq15.estimate(self.data))
-
-    def centroid(self, stage: Stage) -> EstimatorResult:
-        """The weighted mean of the contact points of each taxel: the baseline."""
-        return centroid.estimate(self.data)
-
-    def coactivation(self, stage: Stage) -> EstimatorResult:
-        """The layout by which taxels answer together, placed by the contact points."""
-        from .layout import estimate
-
-        return estimate.estimate(self.data, stage)
-
     def _scaled(self, fit: EstimatorResult) -> EstimatorResult:
+        """A trilateration with covariances scaled by its residuals where the noise is unknown."""
         trilaterate.require_any(fit)
         scale = 1.0 if self._circled.noise is not None else float(np.nanmedian(fit.chi2))
         return replace(fit, covariance=fit.covariance * (scale if np.isfinite(scale) else 1.0))
@@ -306,13 +290,13 @@ METHODS: dict[str, Callable[..., EstimatorResult]] = {
     "posegraph_paper": partial(
         Estimation.posegraph, isotropic=True, trilateration=trilaterate.intersect
     ),
-    "trilateration": Estimation.trilateration,
-    "three_circles": Estimation.three_circles,
-    "eq15": Estimation.eq15,
-    "centroid": Estimation.centroid,
-    "coactivation": Estimation.coactivation,
+    "trilateration": lambda one, stage: one._scaled(one.least_squares),
+    "three_circles": lambda one, stage: one._scaled(trilaterate.three_circles(one._circled)),
+    "eq15": lambda one, stage: trilaterate.require_any(eq15.estimate(one.data)),
+    "centroid": lambda one, stage: centroid.estimate(one.data),
+    "coactivation": lambda one, stage: layout.estimate(one.data, stage),
 }
-"""The estimators by name."""
+"""The estimators by name, of an Estimation and the stage whose steps are counted."""
 
 
 def calibrate(

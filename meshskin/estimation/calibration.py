@@ -129,10 +129,9 @@ class Calibration(Value, Card, Tabular, EstimateDetails):
     def facts(self) -> dict[str, str]:
         """Verdict, taxels, sigmas and what was estimated beside them, for a notebook."""
         found = np.isfinite(self.poses).all(axis=(1, 2))
-        facts = (
-            {} if self.verdict is None else {"verdict": str(self.verdict).removeprefix("verdict: ")}
-        )
-        facts |= {"method": self.method, "taxels": f"{found.sum()} of {len(self.ids)} determined"}
+        facts = {"method": self.method, "taxels": f"{found.sum()} of {len(self.ids)} determined"}
+        if self.verdict is not None:
+            facts = {"verdict": str(self.verdict).removeprefix("verdict: ")} | facts
         sigma = 1e3 * self.position_sigma[found]
         if len(sigma):
             facts["sigma"] = f"median {np.median(sigma):.3g} mm, largest {sigma.max():.3g} mm"

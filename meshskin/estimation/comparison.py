@@ -20,13 +20,8 @@ from .uncertainty import metrics as truth
 BASELINE = "centroid"
 """The method that every other one is compared with."""
 METHODS = (
-    "trilateration",
-    "three_circles",
-    "eq15",
-    "posegraph",
-    "posegraph_isotropic",
-    "posegraph_paper",
-    BASELINE,
+    *("trilateration", "three_circles", "eq15"),
+    *("posegraph", "posegraph_isotropic", "posegraph_paper", BASELINE),
 )
 """Methods that are compared with the joint estimate."""
 

@@ -73,6 +73,7 @@ class CrossValidation(Value):
     def metrics(self) -> dict[str, Any]:
         """The numbers as JSON values; lengths in mm, log likelihood per reading."""
         total = int(self.readings.sum())
+        mean = float(self.log_likelihood.sum()) / max(total, 1)
         return {
             "folds": int(self.fold.max()) + 1,
             "contacts": len(self.points),
@@ -81,9 +82,7 @@ class CrossValidation(Value):
             "centroid_error_mm": _summary(self.centroid_errors),
             "taxel_pitch_mm": 1e3 * self.pitch if math.isfinite(self.pitch) else None,
             "readings": total,
-            "log_likelihood_per_reading": float(self.log_likelihood.sum()) / total
-            if total
-            else None,
+            "log_likelihood_per_reading": mean if total else None,
         }
 
     def save(self, path: str | Path) -> None:

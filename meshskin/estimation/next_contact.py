@@ -109,10 +109,13 @@ def next_contacts(
     radius = float(reference_patches(belief, np.zeros((1, 2)), modulus).first[0])
     points, covariance = _known(calibration, belief, radius)
     near = np.flatnonzero(np.isfinite(points[:, 0]))
-    points, covariance, ids = points[near], covariance[near], calibration.ids[near]
-    charts = chart.charts_at(belief.body, points)
-    covariance = _in_charts(calibration, near, charts, covariance)
-    candidates = candidates_about(charts, np.trace(covariance, axis1=1, axis2=2), radius)
+    ids, charts = calibration.ids[near], chart.charts_at(belief.body, points[near])
+    axes = calibration.poses[near, :3, :2]
+    turn = np.einsum("nik,nil->nkl", charts.tangents, axes)  # to the charts' tangents
+    turn = np.where(np.isfinite(axes[:, :1, :1]), turn, np.eye(2))
+    covariance = turn @ covariance[near] @ np.swapaxes(turn, 1, 2)
+    worst_first = np.argsort(-np.trace(covariance, axis1=1, axis2=2), kind="stable")
+    candidates = candidates_around(charts[worst_first[:MAX_TARGETS]], radius, RINGS)
     hit = valid_contacts(candidates, belief, modulus)
     if not len(hit.point):
         raise ContactError(
@@ -153,8 +156,8 @@ def next_touch(
     near = np.flatnonzero(gap < limit)
     charts = chart.charts_at(belief.body, points[near])
     flat = np.swapaxes(charts.tangents, 1, 2) @ covariance[near] @ charts.tangents
-    candidates = candidates_about(charts, np.trace(flat, axis1=1, axis2=2), radius, FEW_TARGETS)
-    hit = valid_contacts(candidates, belief, modulus)
+    worst = np.argsort(-np.trace(flat, axis1=1, axis2=2), kind="stable")[:FEW_TARGETS]
+    hit = valid_contacts(candidates_around(charts[worst], radius, RINGS), belief, modulus)
     if not len(hit.point):
         return None
     contact, taxel, slope = expected_slopes(charts, hit, belief, modulus)
@@ -217,24 +220,6 @@ def _known(calibration: Calibration, belief: Belief, radius: float) -> tuple[Arr
     points[unknown] = np.nan if centroids is None else centroids[unknown]
     covariance[unknown] = np.eye(2) * (radius + belief.disc_radius) ** 2
     return points, covariance
-
-
-def _in_charts(
-    calibration: Calibration, rows: np.ndarray, charts: chart.Charts, covariance: Array
-) -> Array:
-    """Covariances (n, 2, 2) of the taxels `rows`, transformed to the charts' tangents."""
-    axes = calibration.poses[rows, :3, :2]
-    turn = np.einsum("nik,nil->nkl", charts.tangents, axes)
-    turn = np.where(np.isfinite(axes[:, :1, :1]), turn, np.eye(2))
-    return np.asarray(turn @ covariance @ np.swapaxes(turn, 1, 2))
-
-
-def candidates_about(
-    charts: chart.Charts, variance: Array, radius: float, targets: int = MAX_TARGETS
-) -> Array:
-    """Candidate points (c, 3), m, about the `targets` taxels with the largest `variance` (n,)."""
-    worst = np.argsort(-variance, kind="stable")[:targets]
-    return candidates_around(charts[worst], radius, RINGS)
 
 
 def candidates_around(charts: chart.Charts, radius: float, rings: Sequence[float]) -> Array:

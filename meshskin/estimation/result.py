@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core.arrays import Array
 from ..core.value import Value
 from .uncertainty.goodness_of_fit import GoodnessOfFit
+
+if TYPE_CHECKING:
+    from .learned.start import Former
 
 MOSTLY_OUTLIERS = "most of its readings are outlying"
 """Reason of a taxel whose estimate is dropped; its fault says what was found."""
@@ -189,51 +192,33 @@ class LearnedResponse(Value):
 
     def describe(self) -> tuple[str, ...]:
         """One sentence for each variance, and each departure that the readings show."""
-        shown = []
-        if self.edge_error not in (0.0, 1.0):
-            shown.append(
-                f"readings over edges of the body err by {self.edge_error:.2g} of the peak where "
-                "the heights there are one depth of the contact"
-            )
-        if self.hysteresis[0]:
-            share, width = (100 * value for value in self.hysteresis)
-            shown.append(
-                f"hysteresis: {share:.2g} % of a reading follows the pressure at a distance of "
-                f"{width:.2g} % of the nominal peak"
-            )
-        if self.crosstalk:
-            of = "each neighbour's pressure"
-            if self.leaking != 1:
-                of = f"another taxel's pressure, in {100 * self.leaking:.2g} % of the near pairs"
-            shown.append(f"crosstalk: {100 * self.crosstalk:.2g} % of {of}")
-        if self.drift:
-            shown.append(
-                f"offsets drift by {self.drift:.2g} {self.unit_name} during the recording (1 sigma)"
-            )
-        if self.skew:
-            words = f"moves by {1e3 * self.skew:.2g} mm between them (1 sigma)"
-            shown.append(f"taxels are not read at once: a contact {words}")
-        if self.creep[0]:
-            shown.append(
-                f"creep: {100 * self.creep[0]:.2g} % of a held reading follows the pressure with a "
-                f"time constant of {self.creep[1]:.2g} s"
-            )
-        if self.gain_drift:
-            shown.append(f"the gain of all taxels drifts by {100 * self.gain_drift:.2g} %")
-        if self.offset_drift:
-            words = f"drifts by {self.offset_drift:.2g} {self.unit_name}"
-            shown.append(f"the offset of all taxels {words}")
-        if self.force_drift:
-            shown.append(f"the measured forces drift by {100 * self.force_drift:.2g} %")
-        if self.others:
-            words = "; ".join(ids_in_words(one.taxels) for one in self.each)
-            shown.append(f"{len(self.each)} groups of taxels have responses of their own: {words}")
+        noun, (share, width), creep = self.unit_name, self.hysteresis, self.creep
+        leak = "each neighbour's pressure"
+        if self.leaking != 1:
+            leak = f"another taxel's pressure, in {100 * self.leaking:.2g} % of the near pairs"
+        groups = "; ".join(ids_in_words(one.taxels) for one in self.each if len(one.taxels))
+        departures = {
+            f"readings over edges of the body err by {self.edge_error:.2g} of the peak where the "
+            "heights there are one depth of the contact": self.edge_error not in (0.0, 1.0),
+            f"hysteresis: {100 * share:.2g} % of a reading follows the pressure at a distance of "
+            f"{100 * width:.2g} % of the nominal peak": share,
+            f"crosstalk: {100 * self.crosstalk:.2g} % of {leak}": self.crosstalk,
+            f"offsets drift by {self.drift:.2g} {noun} during the recording (1 sigma)": self.drift,
+            f"taxels are not read at once: a contact moves by {1e3 * self.skew:.2g} mm between "
+            "them (1 sigma)": self.skew,
+            f"creep: {100 * creep[0]:.2g} % of a held reading follows the pressure with a time "
+            f"constant of {creep[1]:.2g} s": creep[0],
+            f"the gain of all taxels drifts by {100 * self.gain_drift:.2g} %": self.gain_drift,
+            f"the offset of all taxels drifts by {self.offset_drift:.2g} {noun}": self.offset_drift,
+            f"the measured forces drift by {100 * self.force_drift:.2g} %": self.force_drift,
+            f"{len(self.each)} groups of taxels have responses of their own: {groups}": self.others,
+        }
         return (
             f"contact points scatter by {1e3 * self.contact_scatter:.2g} mm along each tangent",
             f"forces scatter by {100 * self.force_scatter:.2g} %",
-            f"readings have noise of {self.noise:.3g} {self.unit_name} and "
+            f"readings have noise of {self.noise:.3g} {noun} and "
             f"{100 * self.noise_relative:.2g} % of the level",
-            *shown,
+            *(words for words, shows in departures.items() if shows),
         )
 
 
@@ -307,7 +292,7 @@ class EstimatorResult(EstimateDetails):
     """Displacement (3,), m, of the contacts from one on, where the readings show one."""
     restarted: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Rows of taxels that were started again from the centroid of their contacts."""
-    former: object = None
+    former: Former | None = None
     """What an estimate of the same taxels can begin from (learned/start.py); None: nothing."""
 
     @property

@@ -53,6 +53,13 @@ def uncalibrated(recording: Recording, belief: Belief) -> Calibration:
 def _reasons(recording: Recording, readings: np.ndarray, belief: Belief) -> tuple[str, ...]:
     """What cannot be calibrated, what to record instead, and what the recording shows."""
     touched = readings[readings > 0]
+    distance = np.abs(belief.body.closest(recording.points).distance)
+    typical = float(np.median(distance)) if len(distance) else 0.0
+    off = (
+        f"the contact points lie {1e3 * typical:.2g} mm off the surface of the body in the median, "
+        f"limit {1e3 * OFF:g} mm: the robot's map, the mesh or its pose in the link is wrong; "
+        "check them before the skin is touched again"
+    )
     span = f"{touched.min()} to {touched.max()}" if len(touched) else "no"
     return (
         "places and orientations cannot be calibrated: the contact points were computed by the "
@@ -63,18 +70,5 @@ def _reasons(recording: Recording, readings: np.ndarray, belief: Belief) -> tupl
         "reading; record the raw port of the skin, too",
         f"what the recording shows: {len(touched)} of {len(readings)} taxels answer, in {span} of "
         f"the {len(recording.time)} frames with a single contact",
-        *_off(recording, belief),
-    )
-
-
-def _off(recording: Recording, belief: Belief) -> tuple[str, ...]:
-    """That the contact points are off the body, where they are."""
-    distance = np.abs(belief.body.closest(recording.points).distance)
-    typical = float(np.median(distance)) if len(distance) else 0.0
-    if typical <= OFF:
-        return ()
-    return (
-        f"the contact points lie {1e3 * typical:.2g} mm off the surface of the body in the median, "
-        f"limit {1e3 * OFF:g} mm: the robot's map, the mesh or its pose in the link is wrong; "
-        "check them before the skin is touched again",
+        *([off] if typical > OFF else ()),
     )

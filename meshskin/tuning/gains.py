@@ -39,35 +39,17 @@ class Gains:
     @classmethod
     def of(cls, scene: Scene) -> Gains:
         """The gains of a scene."""
-        law, exploration = scene.law, scene.exploration
-        return cls(
-            law.gamma,
-            law.rate if law.shape == "inertia" else law.gain,
-            law.force_reference,
-            law.approach_speed,
-            exploration.approach_ramp,
-            exploration.settle,
-            exploration.speed,
-            exploration.ramp,
-        )
+        law = {name: getattr(scene.law, name) for name in LAW}
+        paths = {name: getattr(scene.exploration, name) for name in EXPLORATION}
+        return cls(**law, **paths, rate=getattr(scene.law, RATE[scene.law.shape]))
 
     def applied(self, scene: Scene) -> Scene:
         """The scene with these gains and speeds."""
-        law = replace(
-            scene.law,
-            gamma=self.gamma,
-            force_reference=self.force_reference,
-            approach_speed=self.approach_speed,
-            **{"rate" if scene.law.shape == "inertia" else "gain": self.rate},
+        law = {name: getattr(self, name) for name in LAW} | {RATE[scene.law.shape]: self.rate}
+        paths = {name: getattr(self, name) for name in EXPLORATION}
+        return scene.with_(
+            law=replace(scene.law, **law), exploration=replace(scene.exploration, **paths)
         )
-        exploration = replace(
-            scene.exploration,
-            approach_ramp=self.approach_ramp,
-            settle=self.settle,
-            speed=self.speed,
-            ramp=self.ramp,
-        )
-        return scene.with_(law=law, exploration=exploration)
 
     @property
     def values(self) -> list[Any]:
@@ -77,6 +59,11 @@ class Gains:
 
 NAMES = tuple(f.name for f in fields(Gains))
 """Names of the gains."""
+LAW = ("gamma", "force_reference", "approach_speed")
+EXPLORATION = ("approach_ramp", "settle", "speed", "ramp")
+"""Those that are fields of the same name of a scene's law, and of its exploration."""
+RATE = {"inertia": "rate", "identity": "gain"}
+"""Field of the law that is the velocity gain, by its shape."""
 BOUNDS: dict[str, tuple[float, float]] = {
     "gamma": (2.0, 1000.0),
     "rate": (10.0, 1000.0),

@@ -113,8 +113,7 @@ def objective_and_limits(
     ramps = gains.ramp * gains.speed / shooting.manoeuvre.distance
     limits = [
         Limit("overshoot", overshoot, max(demands.overshoot, MIN_OVERSHOOT), OVERSHOOT_SCALE, ""),
-        *_settling_limits(overshoot, since, gains, demands, touch_only, dt),
-        *(() if touch_only else _force_limits(error, since, gains, demands, dt)),
+        *_force_limits(overshoot, error, since, gains, demands, touch_only, dt),
         *_duration_limits(duration, slide, end, demands, touch_only, dt),
         Limit("ramp", ramps, 0.999, 1.0, ""),  # a slide needs a time between its ramps
         *step_limit(shooting, gains),
@@ -131,24 +130,20 @@ def objective_and_limits(
     return Objective(ca.sqrt(squares + 1e-12), error, sliding / count), limits
 
 
-def _settling_limits(
-    error: ca.MX, since: ca.MX, gains: Gains, demands: Demands, touch_only: bool, dt: float
-) -> Iterator[Limit]:
-    """The force has settled when the rest is over; where no slide follows, it stays settled."""
-    at = interpolate(error, since, gains.settle, dt)
-    yield Limit("settled", ca.vertcat(at, -at), demands.settled, 1.0, "")
-    if touch_only:
-        after = ca.fabs(error) - _before(since, gains.settle, dt)
-        yield Limit("settled", after, demands.settled, 1.0, "")
-
-
 def _force_limits(
-    error: ca.MX, since: ca.MX, gains: Gains, demands: Demands, dt: float
-) -> Iterator[Limit]:
-    """The force is within its bounds from the slide's begin; before, it is still rising."""
-    rising = _before(since, gains.settle, dt)
-    yield Limit("least force", -error - rising, demands.force, 1.0, "")
-    yield Limit("largest force", error - rising, demands.force, 1.0, "")
+    overshoot: ca.MX, error: ca.MX, since: ca.MX, gains: Gains, demands: Demands,
+    touch_only: bool, dt: float,
+) -> Iterator[Limit]:  # fmt: skip
+    """The force has settled when the rest is over, and is within its bounds from the slide's begin;
+    where no slide follows, it stays settled. Before, it is still rising."""
+    at = interpolate(overshoot, since, gains.settle, dt)
+    yield Limit("settled", ca.vertcat(at, -at), demands.settled, 1.0, "")
+    rising = ca.fmin(ca.fmax((gains.settle - since) / (2.0 * dt), 0.0), 1.0)  # 0 from its end on
+    if touch_only:
+        yield Limit("settled", ca.fabs(overshoot) - rising, demands.settled, 1.0, "")
+    else:
+        yield Limit("least force", -error - rising, demands.force, 1.0, "")
+        yield Limit("largest force", error - rising, demands.force, 1.0, "")
 
 
 def _duration_limits(
@@ -215,11 +210,6 @@ def interpolate(values: ca.MX, times: ca.MX, at: Any, dt: float) -> ca.MX:
     u = ca.fabs(times - at) / dt
     near, far = 1.0 + u * u * (1.5 * u - 2.5), 2.0 + u * (-4.0 + u * (2.5 - 0.5 * u))
     return ca.sum1(ca.if_else(u < 1.0, near, ca.if_else(u < 2.0, far, 0.0)) * values)
-
-
-def _before(since: ca.MX, at: Any, dt: float) -> ca.MX:
-    """1 up to 2 dt before a time after the touch, 0 from it on."""
-    return ca.fmin(ca.fmax((at - since) / (2.0 * dt), 0.0), 1.0)
 
 
 def _smooth_step(t: ca.MX) -> ca.MX:

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.arguments import check_real, check_type, repr_short
+from ..core.arguments import check_name, check_real, check_type, repr_short
 from ..core.arrays import Array
-from ..core.errors import ConfigError, TuningError, UnknownNameError
+from ..core.errors import ConfigError, TuningError
 from ..core.progress import Progress, Stage
 from ..scene.scene import Scene
 from ..simulation.response import force_response
@@ -118,8 +118,7 @@ def _check(
     scene: Scene, objective: str, distance: float, demands: Demands, start: Gains | None
 ) -> None:
     """Raise UnknownNameError or ConfigError for arguments of `tune` that cannot be used."""
-    if objective not in OBJECTIVES:
-        raise UnknownNameError("objective", objective, OBJECTIVES)
+    check_name("objective", objective, OBJECTIVES)
     check_type(Scene, scene, "what is tuned")
     check_real("distance of the slide", distance, "m", above=0.0)
     check_type(Demands, demands, "demands")

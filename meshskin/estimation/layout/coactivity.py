@@ -82,12 +82,6 @@ def index(levels: np.ndarray, weight: Array | None = None) -> tuple[Array, Array
     return shared / np.maximum(either, 1e-12), frames
 
 
-def level_radii(levels: np.ndarray) -> Array:
-    """Radius (k,) of each level's disc in units of the first: by the areas, of what reaches it."""
-    count = [np.count_nonzero(levels >= k) for k in range(1, int(levels.max()) + 1)]
-    return np.sqrt(np.array(count) / count[0])
-
-
 def disc_distances(values: Array, radii: Array) -> Array:
     """Distances, from 2 to 0, at which discs of the `radii` (k,) have the index `values`.
 
@@ -110,7 +104,9 @@ def near_lengths(levels: np.ndarray, weight: Array | None = None) -> Any:
     near = (values >= NEAR) & (frames >= SHARED)
     np.fill_diagonal(near, False)
     i, j = np.nonzero(near)
-    length = np.maximum(disc_distances(values[i, j], level_radii(levels)), 1e-6)  # 0: no edge
+    areas = [np.count_nonzero(levels >= k) for k in range(1, int(levels.max()) + 1)]
+    radii = np.sqrt(np.array(areas) / areas[0])  # of each level's disc, in those of the first
+    length = np.maximum(disc_distances(values[i, j], radii), 1e-6)  # 0: no edge
     return csr_array((length, (i, j)), shape=values.shape)
 
 

@@ -134,8 +134,7 @@ def layout(
     """
     levels = distinct_levels(frames)
     numbers = _checked_ids(ids, levels.shape[1])
-    known = _known(numbers, spacing, touch_radius, module_slots)
-    _check_combination(known, tiled, body)
+    known = _known(numbers, spacing, touch_radius, module_slots, tiled, body)
     middles = _middles(body, centre)
     rows, inner, reasons = _together(levels)
     stage = Stage(progress, "layout", DRAWS + 2)
@@ -143,8 +142,7 @@ def layout(
     stage.step()
     departure = _departures(stress.distances(points), inner, unit)
     scaled = bool(spacing or touch_radius) or modules is not None
-    gauge, factors = _said(known, scaled, tiled, body is not None)
-    error = stress.misfit(stress.distances(points), inner, unit)
+    error, alike = stress.misfit(stress.distances(points), inner, unit), 0
     drawn = _drawn(levels, rows, known, points, unit, scaled, seed, stage)
     if tiled and modules is not None:
         modules, wrong = tiles.tiled(modules, near_lengths(levels[:, rows]).toarray(), unit)
@@ -153,15 +151,14 @@ def layout(
         placed, spread, alike = best_on_body(body, points, inner, unit, middles)
         points, error = placed.positions, stress.misfit(placed.along, inner, unit)
         departure = np.hypot(_departures(placed.along, inner, unit), spread)
-        gauge = _on_body_gauge(len(middles), alike)
     seldom = ~np.isfinite(drawn)
     reasons[rows[seldom]] = SELDOM
     keep = rows[~seldom]
     positions = spread_rows(points[~seldom], keep, len(numbers), np.nan)
     sigma = spread_rows(np.hypot(drawn, departure)[~seldom], keep, len(numbers), np.nan)
     stage.end()
-    unit_name = "m" if scaled else "spacings"
-    return Layout(numbers, positions, sigma, reasons, unit_name, gauge, factors, error)
+    words = _gauge(known, scaled, len(middles), alike), _factors(known, tiled, body)
+    return Layout(numbers, positions, sigma, reasons, "m" if scaled else "spacings", *words, error)
 
 
 def _together(levels: np.ndarray) -> tuple[Index, Array, np.ndarray]:
@@ -174,24 +171,9 @@ def _together(levels: np.ndarray) -> tuple[Index, Array, np.ndarray]:
     return rows, lengths[np.ix_(rows, rows)], reasons
 
 
-def _check_combination(known: _Known, tiled: bool, body: Body | None) -> None:
-    """Raise CalibrationError where tiling or a body does not go with what is known."""
-    if tiled and known.module is None:
-        raise CalibrationError("tiled modules need module_slots")
-    scaled = known.spacing or known.touch_radius
-    if body is not None and (known.module is not None or not scaled):
-        raise CalibrationError(
-            "a layout on a body needs a scale, and no modules",
-            remedy="give spacing or touch_radius, without module_slots",
-        )
-
-
 def _checked_ids(ids: ArrayLike | None, count: int) -> np.ndarray:
-    numbers = (
-        np.arange(count)
-        if ids is None
-        else check_array("ids of a layout", ids, error=CalibrationError)
-    )
+    given = np.arange(count) if ids is None else ids
+    numbers = check_array("ids of a layout", given, error=CalibrationError)
     whole = numbers.shape == (count,) and np.array_equal(numbers, np.round(numbers))
     if not whole or len(np.unique(numbers)) < count:
         raise CalibrationError(
@@ -207,6 +189,8 @@ def _known(
     spacing: float | None,
     touch_radius: float | None,
     module_slots: ArrayLike | None,
+    tiled: bool,
+    body: Body | None,
 ) -> _Known:
     """What the arguments of `layout` say. Raises CalibrationError."""
     given = [value for value in (spacing, touch_radius, module_slots) if value is not None]
@@ -220,6 +204,13 @@ def _known(
             check_real(
                 what, value, "m", above=0.0, most=MAX_SCALE, error=CalibrationError, remedy=metres
             )
+    if tiled and module_slots is None:
+        raise CalibrationError("tiled modules need module_slots")
+    if body is not None and spacing is None and touch_radius is None:
+        raise CalibrationError(
+            "a layout on a body needs a scale, and no modules",
+            remedy="give spacing or touch_radius, without module_slots",
+        )
     if module_slots is None:
         return _Known(spacing, touch_radius, None, None)
     slots = check_array("module_slots", module_slots, error=CalibrationError)
@@ -266,21 +257,17 @@ def _drawn(
     return np.where(often, np.sqrt(square / np.maximum(count, 1)), np.nan)
 
 
-def _said(known: _Known, scaled: bool, tiled: bool, on_body: bool) -> tuple[str, tuple[str, ...]]:
-    """Gauge of a plane layout, and the factors, in words."""
-    free = ["position and angle in the plane"]
-    factors = ["co-activation of the taxels, as of round touches spread evenly"]
+def _factors(known: _Known, tiled: bool, body: Body | None) -> tuple[str, ...]:
+    """What the layout rests on, in words."""
+    found = ["co-activation of the taxels, as of round touches spread evenly"]
     if known.module is not None:
-        factors.append("rigid modules of known slots: scale and handedness")
-    else:
-        free.append("mirror image")
-        free += [] if scaled else ["scale"]
+        found.append("rigid modules of known slots: scale and handedness")
     if known.spacing:
-        factors.append(f"distance of neighbours {1e3 * known.spacing:.4g} mm")
+        found.append(f"distance of neighbours {1e3 * known.spacing:.4g} mm")
     if known.touch_radius:
-        factors.append(f"taxels answer within {1e3 * known.touch_radius:.4g} mm of a touch")
-    factors += ["modules edge to edge"] * tiled + ["surface of the body"] * on_body
-    return f"middle at the origin; not determined: {', '.join(free)}", tuple(factors)
+        found.append(f"taxels answer within {1e3 * known.touch_radius:.4g} mm of a touch")
+    found += ["modules edge to edge"] * tiled + ["surface of the body"] * (body is not None)
+    return tuple(found)
 
 
 def _middles(body: Body | None, centre: ArrayLike | None) -> Array:
@@ -300,8 +287,12 @@ def _middles(body: Body | None, centre: ArrayLike | None) -> Array:
     return middle[None]
 
 
-def _on_body_gauge(places: int, alike: int) -> str:
-    """Gauge of a layout on a body, in words."""
+def _gauge(known: _Known, scaled: bool, places: int, alike: int) -> str:
+    """Gauge of a layout in the plane, or of the best of `places` on a body, in words."""
+    if not places:
+        free = "position and angle in the plane"
+        free += ", mirror image" * (known.module is None) + ", scale" * (not scaled)
+        return f"middle at the origin; not determined: {free}"
     free = "mirror image, and motions that take the body to itself"
     if places == 1:
         return f"the middle is at the given centre; not determined: {free}"

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...core.arrays import Array, far_apart, sums_by_group
+from ...core.arrays import Array, far_apart, means_by_group
 from ...core.se3 import orthonormal_basis
 from ...geometry.body import Body
 from .. import chart
@@ -122,7 +122,7 @@ class Modules:
     @property
     def _arms(self) -> Array:
         """From the origin of its module to each taxel (n, 2)."""
-        return _turned(self.offsets, self.angles[self.module])
+        return rotated(self.offsets, self.angles[self.module])
 
     @property
     def positions(self) -> Array:
@@ -158,38 +158,24 @@ def fitted_modules(module: np.ndarray, offsets: Array, points: Array) -> tuple[M
     Returns them, in m, and the unit of the points, m. The mirror image that fits better is taken:
     the slots of a module tell left from right.
     """
-    fits = [_fitted(module, offsets, points * [1.0, sign]) for sign in (1.0, -1.0)]
-    residual = [float(np.sum((m.positions - unit * p) ** 2)) for m, unit, p in fits]
-    modules, unit, _ = fits[int(np.argmin(residual))]
-    return modules, unit
+    inner = means_by_group(offsets, module)
+    o, fits = offsets - inner[module], []
+    for image in (points, points * [1.0, -1.0]):
+        outer = means_by_group(image, module)
+        x = image - outer[module]
+        unit = float(np.sqrt(np.sum(o**2) / np.sum(x**2)))
+        turn = np.bincount(module, o[:, 0] * x[:, 1] - o[:, 1] * x[:, 0])
+        angles = np.arctan2(turn, np.bincount(module, np.sum(o * x, axis=1)))
+        found = Modules(module, offsets, unit * outer - rotated(inner, angles), angles)
+        fits.append((float(np.sum((found.positions - unit * image) ** 2)), found, unit))
+    return min(fits, key=lambda fit: fit[0])[1:]
 
 
-def _fitted(module: np.ndarray, offsets: Array, points: Array) -> tuple[Modules, float, Array]:
-    count = np.bincount(module)[:, None]
-
-    def about_centres(x: Array) -> tuple[Array, Array]:
-        centre = sums_by_group(x, module) / count
-        return centre, x - centre[module]
-
-    inner, o = about_centres(offsets)
-    outer, x = about_centres(points)
-    unit = float(np.sqrt(np.sum(o**2) / np.sum(x**2)))
-    turn = np.bincount(module, o[:, 0] * x[:, 1] - o[:, 1] * x[:, 0])
-    along = np.bincount(module, np.sum(o * x, axis=1))
-    angles = np.arctan2(turn, along)
-    return Modules(module, offsets, unit * outer - _turned(inner, angles), angles), unit, points
-
-
-def _turned(points: Array, angles: Array) -> Array:
-    """Points (k, 2) turned by `angles` (k,), rad, about the origin."""
+def rotated(points: Array, angles: Array | float) -> Array:
+    """Points (k, 2) turned by `angles` (k,) or one angle, rad, about the origin."""
     cosine, sine = np.cos(angles), np.sin(angles)
     x, y = points.T
     return np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
-
-
-def rotation(angle: float) -> Array:
-    """The rotation (2, 2) of the plane by an angle, rad."""
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def settled(
@@ -294,9 +280,8 @@ def _starts(body: Body, plane: Array, middle: Array) -> list[OnBody]:
     hit = body.closest(middle[None])
     basis = orthonormal_basis(hit.normal[0])[:, :2]
     centred = plane - plane.mean(axis=0)
-    found = []
-    for angle in 2 * np.pi * np.arange(TURNS) / TURNS:
-        for image in ([1.0, 1.0], [1.0, -1.0]):
-            tangent = (centred * image) @ rotation(angle).T
-            found.append(OnBody.at(body, hit.point[0] + tangent @ basis.T))
-    return found
+    return [
+        OnBody.at(body, hit.point[0] + rotated(centred * [1.0, image], angle) @ basis.T)
+        for angle in 2 * np.pi * np.arange(TURNS) / TURNS
+        for image in (1.0, -1.0)
+    ]

@@ -51,8 +51,11 @@ def in_plane(lengths: Array, start: Array | None = None) -> Array:
             limit="at least 4",
             remedy="record touches that cover several taxels",
         )
-    points = _classical(lengths) if start is None else start
-    weight = weights(lengths)
+    if start is None:
+        centring = np.eye(n) - 1.0 / n
+        values, vectors = np.linalg.eigh(-0.5 * centring @ lengths**2 @ centring)
+        start = vectors[:, -2:] * np.sqrt(np.maximum(values[-2:], 0.0))
+    points, weight = start, weights(lengths)
     laplacian = np.diag(weight.sum(axis=1)) - weight
     # the null space is the common translation: adding ones makes it regular
     inverse = np.linalg.inv(laplacian + 1.0 / n) - 1.0 / n
@@ -87,10 +90,3 @@ def neighbour_spacing(positions: Array) -> float:
     """
     near = KDTree(positions).query(positions, NEIGHBOURS + 1)[0][:, 1:]
     return float(np.median(near.mean(axis=1)))
-
-
-def _classical(lengths: Array) -> Array:
-    n = len(lengths)
-    centring = np.eye(n) - 1.0 / n
-    values, vectors = np.linalg.eigh(-0.5 * centring @ lengths**2 @ centring)
-    return np.asarray(vectors[:, -2:] * np.sqrt(np.maximum(values[-2:], 0.0)))

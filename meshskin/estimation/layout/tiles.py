@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from ...core.arrays import Array, median_spacing
 from ...core.errors import CalibrationError
 from . import stress
-from .placement import Modules, rotation, settled
+from .placement import Modules, rotated, settled
 
 NORMALS = np.deg2rad([-90.0, 30.0, 150.0])
 """Directions of the outward normals of the edges in a module's frame, rad (slots.CORNERS)."""
@@ -39,7 +39,10 @@ def tiled(modules: Modules, near: Array, unit: float) -> tuple[Modules, Array]:
     of a module's taxels from the given poses. Raises CalibrationError where edges contradict each
     other, or two modules take one place.
     """
-    pitch = _pitch(modules.origins)
+    pitch = median_spacing(modules.origins)
+    pairs = KDTree(modules.origins).query_pairs(1.3 * pitch, output_type="ndarray")
+    gaps = modules.origins[pairs[:, 0]] - modules.origins[pairs[:, 1]]
+    pitch = float(np.median(np.linalg.norm(gaps, axis=1)))  # of neighbouring modules
     meetings = _meetings(modules, pitch)
     origins, angles, part = _grown(len(modules.angles), pitch, meetings)
     wrong = [m for m in meetings if _gap(origins, angles, m, pitch) > TOLERANCE * pitch]
@@ -56,7 +59,7 @@ def tiled(modules: Modules, near: Array, unit: float) -> tuple[Modules, Array]:
         own = part == k
         rows = own[modules.module]
         turn, shift = _alignment(grown.positions[rows], modules.positions[rows])
-        origins[own] = origins[own] @ rotation(turn).T + shift
+        origins[own] = rotated(origins[own], turn) + shift
         angles[own] += turn
     placed = replace(modules, origins=origins, angles=angles)
     if part.max() > 0:
@@ -84,13 +87,6 @@ class Meeting:
     def reversed(self) -> Meeting:
         """The meeting as seen from the other module."""
         return Meeting(self.misfit, self.second, self.first, self.other, self.edge)
-
-
-def _pitch(origins: Array) -> float:
-    """Distance of neighbouring modules, m."""
-    nearest = median_spacing(origins)
-    pairs = KDTree(origins).query_pairs(1.3 * nearest, output_type="ndarray")
-    return float(np.median(np.linalg.norm(origins[pairs[:, 0]] - origins[pairs[:, 1]], axis=1)))
 
 
 def _meetings(modules: Modules, pitch: float) -> list[Meeting]:
@@ -141,7 +137,7 @@ def _alignment(source: Array, target: Array) -> tuple[float, Array]:
     """Angle, rad, and displacement (2,), m, that take `source` (m, 2) to `target` best."""
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)
     angle = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
-    return angle, target.mean(axis=0) - rotation(angle) @ source.mean(axis=0)
+    return angle, target.mean(axis=0) - rotated(source, angle).mean(axis=0)
 
 
 def _parts_placed(
@@ -159,5 +155,5 @@ def _parts_placed(
     bodies, _ = settled(start, near, unit, free=True, weight=weight)
     turn, shift = _alignment(bodies.positions, target)
     whole = Modules(part, modules.origins, bodies.origins, bodies.angles)
-    origins = whole.positions @ rotation(turn).T + shift
+    origins = rotated(whole.positions, turn) + shift
     return replace(modules, origins=origins, angles=modules.angles + bodies.angles[part] + turn)

@@ -90,20 +90,17 @@ class RecordedFrames:
         unit_checks.check_unique(recording, taxel, len(ids))
         order = np.argsort(recording.reading_contact, kind="stable")
         self._contact, self._pressure = recording.reading_contact[order], recording.pressure[order]
-        self._taxel = taxel[order]
-        self._recording, self._count, self._errors = recording, len(ids), errors
+        self._taxel, self._count = taxel[order], len(ids)
+        self._frames = ContactFrames(
+            recording.points, recording.force, recording.headings, recording.time, errors
+        )
 
     def part(self, begin: int, end: int) -> tuple[ContactFrames, Array]:
         """Contacts `begin` to `end`, and their readings (end - begin, n), Pa, 0 where silent."""
-        given, mine = self._recording, slice(begin, end)
+        contacts = self._frames.take(slice(begin, end))
         rows = slice(*np.searchsorted(self._contact, (begin, end)))
-        readings = np.zeros((len(given.time[mine]), self._count))
+        readings = np.zeros((len(contacts), self._count))
         readings[self._contact[rows] - begin, self._taxel[rows]] = self._pressure[rows]
-        headings = None if given.headings is None else given.headings[mine]
-        errors = None if self._errors is None else self._errors[mine]
-        contacts = ContactFrames(
-            given.points[mine], given.force[mine], headings, given.time[mine], errors
-        )
         return contacts, readings
 
 
@@ -195,6 +192,7 @@ def contacts_of(
         valid = on_body & in_range(model, belief, force, hit.curvature)
     hit, kept = hit.take(valid), frames.take(valid)
     headings = None if template.headings is None else _headings(kept)
+    errors = np.zeros((len(kept), 3)) if kept.errors is None else kept.errors
     found = replace(
         template,
         points=kept.points,
@@ -207,13 +205,9 @@ def contacts_of(
         recorded=first + np.flatnonzero(valid),
         patches=nominal_patches(model, belief, kept.force, hit.curvature),
         headings=headings,
-        contact_errors=None if template.contact_errors is None else _errors(kept),
+        contact_errors=None if template.contact_errors is None else errors,
     )
     return found, valid, on_body & ~valid
-
-
-def _errors(frames: ContactFrames) -> Array:
-    return np.zeros((len(frames), 3)) if frames.errors is None else frames.errors
 
 
 def _headings(frames: ContactFrames) -> Array:

@@ -45,9 +45,8 @@ class TaxelInformation:
         self._response = np.zeros((n, self.size, 1 + ks))
         self._matrix, self._right = np.zeros((n, ks, ks)), np.zeros((n, ks))
         self._bare, self._gains = np.zeros((n, ks, ks)), np.zeros((n, ks))
-        self._gain = 2 + parameters.nuisance_names.index("gain") if "gain" in (
-            parameters.nuisance_names
-        ) else None  # fmt: skip
+        names = parameters.nuisance_names
+        self._gain = 2 + names.index("gain") if "gain" in names else None
 
     def points(self, rows: np.ndarray) -> Array:
         """Estimated points (r, 3), m, of placed taxels."""

@@ -93,11 +93,11 @@ class Intake:
             return
         count = store.count + len(self._outside)
         self._next = count + 1 if count < SURE else int(GROWTH * count)
-        points = np.concatenate(
-            [store.columns["points"].values, *(x[0].points for x in self._outside)]
-        )
-        force = np.concatenate(
-            [store.columns["force"].values, *(x[0].force for x in self._outside)]
+        points, force = (
+            np.concatenate(
+                [store.columns[name].values, *(getattr(x[0], name) for x in self._outside)]
+            )
+            for name in ("points", "force")
         )
         some = slice(None, None, max(1, count // MODEL_SAMPLE))
         try:

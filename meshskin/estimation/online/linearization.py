@@ -238,19 +238,6 @@ def summary(estimator: JointEstimator, misfits: np.ndarray) -> LocalEstimate:
     )
 
 
-@dataclass(frozen=True)
-class Basins:
-    """What other positions the readings of t taxels allow."""
-
-    better: Array
-    """Positions (t, 3), m, that fit better than the estimate; NaN where there is none."""
-    spread: Array
-    """What the tangential covariance (t, 2, 2), m^2, lacks: the distance of a position that fits
-    nearly as well, and the width of a likelihood that is wider than its curvature says."""
-    unique: np.ndarray
-    """Whether (t,) no other position fits nearly as well."""
-
-
 def examine(
     data: Measurements,
     weight: Array,
@@ -258,12 +245,15 @@ def examine(
     nuisance: Array,
     s: Array,
     covariance: Array,
-) -> Generator[None, None, Basins]:
+) -> Generator[None, None, tuple[Array, Array, np.ndarray]]:
     """Look for other positions of t taxels at converged estimates, the origins of `charts`, as the
     batch estimate does (joint/rival_optima.py, joint/likelihood_widths.py).
 
-    The work is done in parts, between which the generator yields; it returns what was found. data:
-    of these taxels; weight (k,): of the readings; nuisance (t, q), s (ks,): the estimates;
+    The work is done in parts, between which the generator yields. It returns positions (t, 3), m,
+    that fit better, NaN where there is none; what the tangential covariance (t, 2, 2), m^2, lacks:
+    the distance of a position that fits nearly as well, and the width of a likelihood that is wider
+    than its curvature says; and whether (t,) no other position fits nearly as well.
+    data: of these taxels; weight (k,): of the readings; nuisance (t, q), s (ks,): the estimates;
     covariance (t, 2, 2), m^2: along the charts' tangents.
     """
     rows = np.arange(len(charts.points))
@@ -278,8 +268,5 @@ def examine(
     wide = yield from widened_along_axis(estimator, rows, covariance, 1.0)
     rival = odds < MAX_LOG_ODDS
     apart = np.where(rival[:, None], places - charts.points, 0.0)
-    return Basins(
-        better=np.where((odds < 0)[:, None], places, np.nan),
-        spread=wide - covariance + tangential_square(charts.tangents, apart),
-        unique=~rival,
-    )
+    better = np.where((odds < 0)[:, None], places, np.nan)
+    return better, wide - covariance + tangential_square(charts.tangents, apart), ~rival

@@ -258,12 +258,6 @@ class OnlineCalibration:
             raise CalibrationError("no contact so far", remedy="update with contacts first")
         return self.estimate
 
-    @property
-    def _modulus(self) -> float:
-        estimate = self._started
-        change = estimate.store.template.parameters.value("modulus", estimate.s)
-        return estimate.store.template.modulus * float(np.exp(change))
-
     def _best_touch(self) -> NextTouch | None:
         estimate, belief = self._started, self._started.store.template.belief
         seen = self._judge.reachable & (estimate.store.counts > 0)
@@ -278,10 +272,11 @@ class OnlineCalibration:
         spatial[known] = (
             tangents[known] @ estimate.covariances[known] @ np.swapaxes(tangents[known], 1, 2)
         )
+        template = estimate.store.template
+        modulus = template.modulus * float(np.exp(template.parameters.value("modulus", estimate.s)))
         return next_touch(
-            self.ids[rows], self.provisional[rows], spatial[rows], belief, self._modulus,
-            estimate.radius,
-        )  # fmt: skip
+            self.ids[rows], self.provisional[rows], spatial[rows], belief, modulus, estimate.radius
+        )
 
     def _tell(self) -> OnlineStatus:
         n = len(self.ids)

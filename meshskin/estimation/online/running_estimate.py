@@ -23,6 +23,7 @@ from ..joint.joint_estimator import JointEstimator
 from ..joint.rival_optima import OPEN_SECTOR, finish, open_sectors
 from .information import TaxelInformation
 from .linearization import (
+    NewReadings,
     advance,
     contradictions,
     examine,
@@ -147,10 +148,7 @@ class RunningEstimate:
             return
         info = self.information
         part = self.store.part(rows, np.arange(first, self.store.count), first_reading)
-        new = new_readings(
-            part.data, info.charts[rows], info.step[rows, :2], info.nuisances(rows), self.s,
-            info.joint_covariance(rows),
-        )  # fmt: skip
+        new = self.linearized(part, rows)
         if new.clear.any():
             self.residual = float(np.sqrt(np.mean(new.residual[new.clear] ** 2)))
         sure = self.fits[rows[new.taxel]]  # taxels on their way contradict whatever comes
@@ -165,6 +163,14 @@ class RunningEstimate:
         info.add(owner[used], new.jacobian[used], new.rate[used], new.curvature[used])
         np.add.at(self.square, owner[used & new.clear], new.residual[used & new.clear] ** 2)
         np.add.at(self.freedom, owner[used & new.clear], 1.0)
+
+    def linearized(self, part: Part, rows: np.ndarray) -> NewReadings:
+        """The readings of a part, of the placed taxels `rows`, at the present estimates."""
+        info = self.information
+        return new_readings(
+            part.data, info.charts[rows], info.step[rows, :2], info.nuisances(rows), self.s,
+            info.joint_covariance(rows),
+        )  # fmt: skip
 
     def refer(self, template: Measurements) -> None:
         """Take another noise, contact model or other priors; all taxels wait."""
@@ -298,24 +304,19 @@ class RunningEstimate:
         covariance = info.covariance[rows, :2, :2]
         yield
         weight = self.store.weight.values[part.rows]
-        found = yield from examine(
+        points, self.spread[rows], self.unique[rows] = yield from examine(
             part.data, weight, info.charts[rows], info.nuisance[rows], self.s, covariance
         )
-        self.unique[rows], self.spread[rows] = found.unique, found.spread
         self.examined[rows] = counts
-        better = np.isfinite(found.better[:, 0])
+        better = np.isfinite(points[:, 0])
         if better.any():
             yield
-            self._restart(rows[better], found.better[better])
-
-    def _restart(self, rows: np.ndarray, points: Array) -> None:
-        """Estimate taxels from other points (r, 3), m; they are examined again from there."""
-        info = self.information
-        moved = points - info.charts.points[rows]
-        self.fits[rows] = True
-        info.step[rows, :2] = np.einsum("rij,ri->rj", info.charts.tangents[rows], moved)
-        self.estimate_anew(rows)
-        self.examined[rows] = 0
+            rows = rows[better]
+            moved = points[better] - info.charts.points[rows]
+            self.fits[rows] = True
+            info.step[rows, :2] = np.einsum("rij,ri->rj", info.charts.tangents[rows], moved)
+            self.estimate_anew(rows)
+            self.examined[rows] = 0  # again, from there
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the work in progress, which starts again."""

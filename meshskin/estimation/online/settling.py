@@ -14,7 +14,7 @@ import numpy as np
 from ..joint.noise import estimate_noise, least_scale
 from ..joint.rival_optima import DIRECTIONS
 from ..uncertainty.goodness_of_fit import MIN_PAIRS
-from .linearization import contradictions, new_readings, search
+from .linearization import contradictions, search
 from .running_estimate import CHUNK, MIN_READINGS, TOLERANCE, RunningEstimate
 
 SETTLED = 0.0003
@@ -51,17 +51,14 @@ def settle(estimate: RunningEstimate) -> None:
 def _readmit(estimate: RunningEstimate) -> bool:
     """Count the readings of rejected contacts that contradict the others no longer: what they were
     compared with has moved. Whether there were any."""
-    store, info = estimate.store, estimate.information
+    store = estimate.store
     contacts = np.flatnonzero(store.misfitting.values)
     if not len(contacts):
         return False
     mine = np.isin(store.contact.values, contacts)
     rows = estimate.near(store.columns["points"].values[contacts], store.taxel.values[mine])
     store.misfitting.values[contacts] = False
-    new = new_readings(
-        store.part_of(rows, contacts).data, info.charts[rows], info.step[rows, :2],
-        info.nuisances(rows), estimate.s, info.joint_covariance(rows),
-    )  # fmt: skip
+    new = estimate.linearized(store.part_of(rows, contacts), rows)
     sure = estimate.fits[rows[new.taxel]]
     rejected = contradictions(new, sure, len(contacts), estimate.scale)[1]
     store.misfitting.values[contacts] = rejected

@@ -61,16 +61,12 @@ def moved_taxels(offset: Array, covariance: Array, level: float) -> np.ndarray:
     """Taxels (n,) bool whose offsets (n, 2), m, from their previous places chance does not explain.
 
     Chi-square with two degrees of freedom under the sum of both covariances (n, 2, 2), m^2, at
-    `level` divided by the number of taxels compared: the probability of any false alarm is at most
-    `level`, whatever the dependence between taxels. NaN where a taxel cannot be compared.
+    `level` divided by the number of taxels: the probability of any false alarm is at most `level`,
+    whatever the dependence between taxels.
     """
-    known = np.isfinite(offset[:, 0]) & np.isfinite(covariance).all(axis=(1, 2))
-    out = np.zeros(len(offset), dtype=bool)
-    if known.any():
-        solved = np.linalg.solve(covariance[known], offset[known, :, None])[..., 0]
-        square = np.einsum("ni,ni->n", offset[known], solved)
-        out[known] = np.exp(-square / 2) < level / known.sum()
-    return out
+    solved = np.linalg.solve(covariance, offset[:, :, None])[..., 0]
+    square = np.einsum("ni,ni->n", offset, solved)
+    return np.asarray(np.exp(-square / 2) < level / max(len(offset), 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,13 +206,10 @@ class Judge:
         if self._before is None or not (level := self._move_test.look(estimate.store.count)):
             return
         info, (points, covariance) = estimate.information, self._before
-        tangents = info.charts.tangents
         compared = estimate.determined & np.isfinite(points[:, 0])
-        compared &= np.isfinite(covariance).all(axis=(1, 2))
-        rows = np.flatnonzero(compared)
-        offset = np.full((len(compared), 2), np.nan)
-        offset[rows] = np.einsum("nij,ni->nj", tangents[rows], info.points(rows) - points[rows])
-        both = np.full((len(compared), 2, 2), np.inf)
-        both[rows] = np.swapaxes(tangents[rows], 1, 2) @ covariance[rows] @ tangents[rows]
-        both[rows] += estimate.covariances[rows]
-        self.moved = moved_taxels(offset, both, level)
+        rows = np.flatnonzero(compared & np.isfinite(covariance).all(axis=(1, 2)))
+        tangents = info.charts.tangents[rows]
+        offset = np.einsum("nij,ni->nj", tangents, info.points(rows) - points[rows])
+        both = np.swapaxes(tangents, 1, 2) @ covariance[rows] @ tangents
+        self.moved[:] = False
+        self.moved[rows] = moved_taxels(offset, both + estimate.covariances[rows], level)

@@ -8,7 +8,7 @@ Source: Kuemmerle et al., "g2o: A General Framework for Graph Optimization", ICR
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,9 +18,11 @@ from ...core.arguments import read_text
 from ...core.arrays import Array, Index
 from ...core.atomic_io import write_text
 from ...core.errors import GraphError
-from .symbolic_factorization import Int64Array
 from .symmetric_blocks import UPPER
 from .validation import SINGULAR
+
+if TYPE_CHECKING:
+    from .graph import PoseGraph
 
 FIELDS = {"VERTEX_SE3:QUAT": 8, "EDGE_SE3:QUAT": 30, "VERTEX_SE2": 4, "EDGE_SE2": 11}
 """Tags that are read, and their numbers per line."""
@@ -98,25 +100,19 @@ def lift_information(planar: Array) -> Array:
     return out
 
 
-def write(
-    path: str | Path,
-    poses: Array,
-    edges: Int64Array,
-    measurements: Array,
-    information: Array,
-    ids: Int64Array,
-) -> None:
-    """Write the arrays of a PoseGraph with all digits, the whole file or nothing.
+def write(path: str | Path, graph: PoseGraph) -> None:
+    """Write a graph with all digits, the whole file or nothing.
 
     Raises OutputError if the file cannot be written.
     """
+    poses, measurements = _rows(graph.poses), _rows(graph.measurements)
     lines = [
-        f"VERTEX_SE3:QUAT {name} {_text(row)}" for name, row in zip(ids, _rows(poses), strict=True)
+        f"VERTEX_SE3:QUAT {name} {_text(row)}" for name, row in zip(graph.ids, poses, strict=True)
     ]
-    upper = information[:, UPPER[0], UPPER[1]]
+    upper = graph.information[:, UPPER[0], UPPER[1]]
     lines += [
         f"EDGE_SE3:QUAT {i} {j} {_text(row)} {_text(entries)}"
-        for (i, j), row, entries in zip(ids[edges], _rows(measurements), upper, strict=True)
+        for (i, j), row, entries in zip(graph.ids[graph.edges], measurements, upper, strict=True)
     ]
     write_text(path, "\n".join(lines) + "\n")
 

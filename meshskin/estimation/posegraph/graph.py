@@ -145,7 +145,7 @@ class PoseGraph(Value):
         """Write a 3D g2o file with all digits. Raises OutputError if it cannot be written."""
         from . import g2o
 
-        g2o.write(path, self.poses, self.edges, self.measurements, self.information, self.ids)
+        g2o.write(path, self)
 
     def solve(
         self,

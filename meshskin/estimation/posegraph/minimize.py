@@ -12,7 +12,7 @@ on (iteratively reweighted least squares).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,8 +79,8 @@ class Estimate:
     solver_status: str = "not run"
     iterates: list[Array] | None = None
     """Poses along the iterations, the start first; None: they are not kept."""
-    stage: Stage | None = None
-    """Whose steps are the iterations; None: they are not counted."""
+    stage: Stage = field(default_factory=Stage)
+    """Whose steps are the iterations."""
     reweighted: float = 0.0
     """Largest change of a weight that another reweighting would make; 0 unless it was ended."""
 
@@ -104,16 +104,16 @@ class Estimate:
     def watch(self, free: IntArray, scale: Array) -> Callable[[Array], None] | None:
         """What is called with the increments of each iteration of a run from the current poses;
         None: nothing."""
-        if self.iterates is None and self.stage is None:
+        if self.iterates is None and self.stage.progress is None:
             return None
         start, begun = self.poses, False
 
         def watch(x: Array) -> None:
             nonlocal begun
+            if begun:
+                self.stage.step()
             if begun and self.iterates is not None:
                 self.iterates.append(retract(start, free, x, scale))
-            if begun and self.stage is not None:
-                self.stage.step()
             begun = True  # the first is the start
 
         return watch
@@ -141,7 +141,7 @@ def minimize(
         if limit is not None:
             most = min(most, limit - estimate.iterations)
         edges = edge_parameters(graph, estimate.poses, sqrt_information)
-        cost = max(problem.cost(pack_parameters(edges, np.ones(2), blend)), floor, 1e-300)
+        cost = max(problem.cost(edges), floor, 1e-300)
         edges[:, -SQRT_INFORMATION:] /= np.sqrt(cost)
         scale = _scale(weight / cost, edges[:, :3], len(problem.free))
         parameters = pack_parameters(edges, scale, blend)

@@ -113,15 +113,15 @@ class PoseGraphProblem:
         decrease = 0.5 * inverse_quadratic_form(product, self._assembly.diagonal(values), gradient)
         return IpoptResult(x, cost, decrease, stats["iter_count"], stats["return_status"])
 
-    def cost(self, parameters: Array) -> float:
-        """Cost at x = 0."""
-        edges, scale, _ = _unpack(parameters)
+    def cost(self, edges: Array) -> float:
+        """Cost at x = 0 of edges (m, 35)."""
         zero = np.zeros(6 * len(self.free))
-        return self._assembly.gradient(edges, scale, zero, np.empty_like(zero))
+        return self._assembly.gradient(edges, np.ones(2), zero, np.empty_like(zero))
 
-    def hessian(self, parameters: Array) -> SymmetricBlocks:
-        """The Hessian at x = 0; anchors have a diagonal block of typical size."""
-        values = self._hessian(np.zeros(6 * len(self.free)), parameters)
+    def hessian(self, edges: Array) -> SymmetricBlocks:
+        """The Gauss-Newton Hessian at x = 0 of edges (m, 35), of increments in m and rad; anchors
+        have a diagonal block of typical size."""
+        values = self._hessian(np.zeros(6 * len(self.free)), pack_parameters(edges, np.ones(2), 0))
         lower = SymmetricBlocks.from_lower_triangle(self._assembly.matrix(values).T, 6)
         typical = self._assembly.diagonal(values).reshape(-1, 6).max(axis=0, initial=0.0)
         own = np.diag(np.where(typical > 0, typical, 1.0))

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.arguments import check_integer
+from ...core.arguments import check_integer, check_name
 from ...core.arrays import Array
 from ...core.blas import single_threaded
-from ...core.errors import GraphError, UnknownNameError
+from ...core.errors import GraphError
 from ...core.progress import Progress, Stage
 from . import certificate as certificates
 from . import start as starts
@@ -28,7 +28,6 @@ from .minimize import (
     minimize,
     minimize_reweighted,
 )
-from .problem import pack_parameters
 from .symmetric_blocks import SymmetricBlocks
 
 if TYPE_CHECKING:
@@ -145,8 +144,7 @@ def information(
     """Gauss-Newton information on local increments of the `poses` (n, 4, 4), of displacements with
     `weights` (m,); anchors have a block of typical size, apart from the others."""
     root = _sqrt_information(graph, objective) * np.sqrt(weights).reshape(-1, 1, 1)
-    edges = edge_parameters(graph, poses, root)
-    return graph.problem(RESIDUALS[objective]).hessian(pack_parameters(edges, np.ones(2), 0.0))
+    return graph.problem(RESIDUALS[objective]).hessian(edge_parameters(graph, poses, root))
 
 
 @single_threaded()
@@ -164,23 +162,20 @@ def solve(
 
     Raises UnknownNameError, GraphError.
     """
-    if objective not in RESIDUALS:
-        raise UnknownNameError("objective", objective, RESIDUALS)
-    if robust is not None and robust not in ROBUST:
-        raise UnknownNameError("robust cost", robust, ROBUST)
+    check_name("objective", objective, RESIDUALS)
+    if robust is not None:
+        check_name("robust cost", robust, ROBUST)
     if limit is not None:
         check_integer("limit of iterations", limit, least=1, error=GraphError)
-    stage = None if progress is None else Stage(progress, "solve", USUAL_ITERATIONS)
+    stage = Stage(progress, "solve", USUAL_ITERATIONS)
     solution = _solve(graph, objective, start, robust, keep_iterates, limit, stage)
     chordal = isinstance(start, str) and start == "chordal"
     if certify and not (chordal or (solution.is_optimal and solution.certificate.certified)):
-        if stage is not None:
-            stage.expect(USUAL_ITERATIONS)
+        stage.expect(USUAL_ITERATIONS)
         other = _solve(graph, objective, "chordal", robust, keep_iterates, limit, stage)
         if other.is_optimal and (other.cost < solution.cost or not solution.is_optimal):
             solution = other
-    if stage is not None:
-        stage.end()
+    stage.end()
     return solution
 
 
@@ -191,7 +186,7 @@ def _solve(
     robust: str | None,
     keep_iterates: bool,
     limit: int | None,
-    stage: Stage | None,
+    stage: Stage,
 ) -> PoseGraphSolution:
     began = perf_counter()
     estimate = Estimate(starts.initial_poses(graph, start), stage=stage)

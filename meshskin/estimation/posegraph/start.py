@@ -10,8 +10,9 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from ...core import se3
+from ...core.arguments import check_name
 from ...core.arrays import Array, rows_by_key, sums_by_group
-from ...core.errors import GraphError, UnknownNameError
+from ...core.errors import GraphError
 from .symmetric_blocks import SingularMatrixError, SymmetricBlocks
 from .validation import chordal_weights, transforms
 
@@ -33,10 +34,9 @@ def initial_poses(graph: PoseGraph, kind: str | ArrayLike) -> Array:
         poses = transforms("start poses", kind, len(graph.poses))
         moves = anchors @ se3.inverse(poses[graph.anchors])
         poses = moves[graph.components] @ poses
-    elif kind in STARTS:
-        poses = STARTS[kind](graph)
     else:
-        raise UnknownNameError("start", kind, STARTS)
+        check_name("start", kind, STARTS)
+        poses = STARTS[kind](graph)
     poses[graph.anchors] = anchors  # exactly
     return poses
 

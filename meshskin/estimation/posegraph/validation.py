@@ -3,6 +3,9 @@ information matrices: their projection and the weights of chordal objectives."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -30,19 +33,16 @@ def transforms(name: str, values: ArrayLike, count: int | None = None) -> Array:
     if array.shape != shape or (not len(array) and name == "poses"):
         wanted = "(n, 4, 4)" if count is None else str(shape)
         raise GraphError(f"{name} have the wrong shape", value=array.shape, limit=wanted)
-    check_finite(f"{name} must be finite", "row", array)
+    _refuse(~np.isfinite(array).all(axis=(1, 2)), f"{name} must be finite", "row {}".format)
     r = array[:, :3, :3]
     error = np.abs(np.swapaxes(r, 1, 2) @ r - np.eye(3)).max(axis=(1, 2), initial=0.0)
     error = np.where(np.linalg.det(r) > 0, error, np.inf)
     error = np.maximum(error, np.abs(array[:, 3] - [0, 0, 0, 1]).max(axis=1, initial=0.0))
-    if (error > ROTATION_TOLERANCE).any():
-        row = int(np.argmax(error > ROTATION_TOLERANCE))
-        raise GraphError(
-            f"{name} must be rigid transforms",
-            value=f"row {row} with an error of {error[row]:.3g}",
-            limit=ROTATION_TOLERANCE,
-            remedy="normalize the rotations",
-        )
+    _refuse(
+        np.asarray(error > ROTATION_TOLERANCE), f"{name} must be rigid transforms",
+        lambda row: f"row {row} with an error of {error[row]:.3g}",
+        limit=ROTATION_TOLERANCE, remedy="normalize the rotations",
+    )  # fmt: skip
     return array
 
 
@@ -56,22 +56,16 @@ def edge_indices(values: ArrayLike, poses: int) -> NDArray[np.int64]:
     if not np.issubdtype(given.dtype, np.integer):
         raise GraphError("edges must be integers", value=given.dtype)
     edges = given.astype(np.int64)
-    outside = ((edges < 0) | (edges >= poses)).any(axis=1)
-    if outside.any():
-        row = int(np.argmax(outside))
-        raise GraphError(
-            "an edge refers to a pose that does not exist",
-            value=f"edge {row} {tuple(edges[row].tolist())}",
-            limit=f"0 to {poses - 1}",
-        )
-    loop = edges[:, 0] == edges[:, 1]
-    if loop.any():
-        row = int(np.argmax(loop))
-        raise GraphError(
-            "an edge must join two different poses",
-            value=f"edge {row}, pose {edges[row, 0]} twice",
-            remedy="remove it: it contains no information about the poses",
-        )
+    _refuse(
+        np.any((edges < 0) | (edges >= poses), axis=1),
+        "an edge refers to a pose that does not exist",
+        lambda row: f"edge {row} {tuple(edges[row].tolist())}", limit=f"0 to {poses - 1}",
+    )  # fmt: skip
+    _refuse(
+        edges[:, 0] == edges[:, 1], "an edge must join two different poses",
+        lambda row: f"edge {row}, pose {edges[row, 0]} twice",
+        remedy="remove it: it contains no information about the poses",
+    )  # fmt: skip
     return edges
 
 
@@ -84,27 +78,22 @@ def information_matrices(values: ArrayLike, count: int) -> Array:
         return np.empty((0, 6, 6))
     if array.shape != (count, 6, 6):
         raise GraphError("information has the wrong shape", value=array.shape, limit=(count, 6, 6))
-    check_finite("information must be finite", "edge", array)
+    _refuse(
+        ~np.isfinite(array).all(axis=(1, 2)), "information must be finite", "edge {}".format
+    )  # fmt: skip
     size = np.abs(array).max(axis=(1, 2))
-    if (size > MAX_INFORMATION).any():
-        row = int(np.argmax(size > MAX_INFORMATION))
-        raise GraphError(
-            "information is too large to compute with",
-            value=f"edge {row}: {size[row]:.3g}",
-            limit=f"{MAX_INFORMATION:g}",
-            remedy="scale all information matrices down: the poses stay the same",
-        )
+    _refuse(
+        size > MAX_INFORMATION, "information is too large to compute with",
+        lambda row: f"edge {row}: {size[row]:.3g}", limit=f"{MAX_INFORMATION:g}",
+        remedy="scale all information matrices down: the poses stay the same",
+    )  # fmt: skip
     asymmetry = np.abs(array - np.swapaxes(array, 1, 2)).max(axis=(1, 2))
-    array = (array + np.swapaxes(array, 1, 2)) / 2
-    wrong = asymmetry > INFORMATION_TOLERANCE * size
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise GraphError(
-            "information must be symmetric",
-            value=f"edge {row}: asymmetry {asymmetry[row]:.3g}",
-            limit=f"{INFORMATION_TOLERANCE:g} of its largest entry",
-        )
-    return array
+    _refuse(
+        asymmetry > INFORMATION_TOLERANCE * size, "information must be symmetric",
+        lambda row: f"edge {row}: asymmetry {asymmetry[row]:.3g}",
+        limit=f"{INFORMATION_TOLERANCE:g} of its largest entry",
+    )  # fmt: skip
+    return np.asarray((array + np.swapaxes(array, 1, 2)) / 2)
 
 
 def project_to_semidefinite(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -138,14 +127,10 @@ def chordal_weights(
     singular or the trace is negative.
     Source: Rosen et al., "SE-Sync", IJRR 38 (2019), section 6.
     """
-    translation, no_translation, indefinite_translation = _inverse_trace(information[:, :3, :3])
-    rotation, no_rotation, indefinite_rotation = _inverse_trace(information[:, 3:, 3:])
-    return (
-        3.0 * translation,
-        1.5 * rotation,
-        no_translation | no_rotation,
-        indefinite_translation | indefinite_rotation,
-    )
+    translation, *wrong = _inverse_trace(information[:, :3, :3])
+    rotation, *also = _inverse_trace(information[:, 3:, 3:])
+    negative, indefinite = (one | other for one, other in zip(wrong, also, strict=True))
+    return 3.0 * translation, 1.5 * rotation, negative, indefinite
 
 
 def _inverse_trace(matrices: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -164,8 +149,7 @@ def _inverse_trace(matrices: Array) -> tuple[Array, NDArray[np.bool_], NDArray[n
     return inverse, negative, indefinite
 
 
-def check_finite(message: str, item: str, array: Array) -> None:
-    """Raise GraphError with the number of the first `item` of `array` (n, k, k) not finite."""
-    bad = np.flatnonzero(~np.isfinite(array).all(axis=(1, 2)))
-    if len(bad):
-        raise GraphError(message, value=f"{item} {bad[0]}")
+def _refuse(bad: NDArray[np.bool_], what: str, value: Callable[[int], str], **facts: Any) -> None:
+    """Raise GraphError, with the `value` of the first of the rows (n,) that are bad, if any is."""
+    if bad.any():
+        raise GraphError(what, value=value(int(np.argmax(bad))), **facts)

@@ -302,22 +302,18 @@ def _change(tried: _Trial, errors: Errors, evidence: float) -> Change:
         ratio = float(others[next_best] - total[best])
         rival = steps[kinds.index(next_best)] if ratio > -MIN_ODDS else None
     share = np.exp(posterior[mine] - logsumexp(posterior[mine]))
+    found = Change(steps[first], evidence, rival=rival, log_rival=ratio)
     if best[0] not in (MOVED, GAIN):
-        return Change(steps[first], evidence, rival=rival, log_rival=ratio)
+        return found
     estimates = [_estimate(tried.blocks[k], errors) for k in mine]
     mean = np.array([m for m, _ in estimates])
     centre = share @ mean
     spread = np.einsum("h,hi,hj->ij", share, mean - centre, mean - centre)
     covariance = spread + np.einsum("h,hij->ij", share, np.array([c for _, c in estimates]))
     if best[0] == MOVED:
-        return Change(
-            steps[first], evidence, shift=centre, shift_covariance=covariance,
-            rival=rival, log_rival=ratio,
-        )  # fmt: skip
-    return Change(
-        steps[first], evidence, log_gain=float(centre[0]),
-        log_gain_sigma=float(np.sqrt(covariance[0, 0])), rival=rival, log_rival=ratio,
-    )  # fmt: skip
+        return replace(found, shift=centre, shift_covariance=covariance)
+    gain, sigma = float(centre[0]), float(np.sqrt(covariance[0, 0]))
+    return replace(found, log_gain=gain, log_gain_sigma=sigma)
 
 
 def _estimate(block: Block, errors: Errors) -> tuple[Array, Array]:

@@ -86,6 +86,10 @@ def recalibrate(
     errors, found = max(fits, key=lambda fit: _score(fit[0], fit[1], touches, limit))
     findings = _findings(known, found)
     strongest = [e.changes[0].log_evidence if e.changes else e.log_evidence for e in found]
+    placed = [
+        bool(e.touched.any()) and is_placed(touches, u, errors, e.state)
+        for u, e in enumerate(found)
+    ]
     return Recalibration(
         calibration=updated(known, belief, found, findings, len(touches.data.points)),
         findings=findings,
@@ -93,12 +97,7 @@ def recalibrate(
         unit=known.noun,
         unit_states=_unit_states(found),
         unit_evidence=np.array(strongest) / np.log(10),
-        placed=np.array(
-            [
-                bool(e.touched.any()) and is_placed(touches, u, errors, e.state)
-                for u, e in enumerate(found)
-            ]
-        ),
+        placed=np.array(placed),
         ids=known.ids,
         states=_taxel_states(known, found),
         false_alarm=false_alarm,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -182,90 +183,71 @@ def _listed(unit: str, numbers: np.ndarray, shown: int | None) -> str:
     return f"{len(numbers)} {unit}{plural} ({names}{more})"
 
 
-@dataclass(frozen=True)
-class _Changed:
-    """The map's n taxels with what became of their units."""
-
-    poses: Array
-    """(n, 4, 4)."""
-    source: np.ndarray
-    """Taxels (n,) of the map at whose places they are: others' if exchanged or turned."""
-    shift_covariance: Array
-    """What moves add to the covariances (n, 3, 3) of the positions, body frame, m^2."""
-    gain: Array
-    """ln gains (n, 2) and standard deviations of those that changed; NaN: as they were."""
-    faults: np.ndarray
-    """(n,)."""
-    touched: np.ndarray
-    """(n,) bool."""
-
-
-def _changed(known: SkinMap, found: list[Evidence]) -> _Changed:
-    n = len(known.ids)
-    gain = np.stack([known.log_gain[:, 0], np.full(n, np.nan)], axis=1)
-    out = _Changed(
-        known.poses.copy(), np.arange(n), np.zeros((n, 3, 3)), gain,
-        np.full(n, "", dtype=object), np.zeros(n, dtype=bool),
-    )  # fmt: skip
-    for rows, evidence in zip(known.units, found, strict=True):
-        out.touched[rows] = evidence.touched
-        for change in evidence.changes:
-            h = change.hypothesis
-            mine = rows if h.taxel < 0 else rows[h.taxel : h.taxel + 1]
-            if h.state in (TURNED, EXCHANGED):  # the places are those of other taxels of the map
-                placed = np.flatnonzero(known.known)
-                out.source[rows] = placed[cKDTree(known.points[placed]).query(h.points)[1]]
-            if h.state in (TURNED, EXCHANGED, MOVED):
-                rotation = align_normals(known.poses[out.source[rows], :3, :3], h.normals)
-                out.poses[rows] = se3.transform(rotation, evidence.state.points)
-            if h.state == MOVED:
-                out.shift_covariance[rows] += change.shift_covariance
-            if h.state == GAIN:
-                out.gain[mine, 0] += change.log_gain
-                out.gain[mine, 1] = change.log_gain_sigma
-            if h.state in (DEAD, GAIN):
-                words = h.state if h.state == DEAD else f"gain times {np.exp(change.log_gain):.2f}"
-                out.faults[mine] = [join_words(f, words) for f in out.faults[mine]]
-    return out
-
-
 def updated(
     known: SkinMap, belief: Belief, found: list[Evidence], findings: tuple[Finding, ...],
     contacts: int,
 ) -> Calibration:  # fmt: skip
     """The calibration with the taxels of changed units at their new places, and faults named."""
-    now, base = _changed(known, found), known.calibration
-    taxel_unknowns = dict(base.taxel_unknowns)
-    if np.any(now.gain[:, 0] != known.log_gain[:, 0]) or "gain" in taxel_unknowns:
-        gain = now.gain / amplification(base)[:, None]
-        before = taxel_unknowns.get("gain", np.zeros_like(gain))[:, 1]
-        gain[:, 1] = np.where(np.isnan(gain[:, 1]), before, gain[:, 1])
-        taxel_unknowns["gain"] = gain
-    old = np.full(len(known.ids), "") if base.faults is None else base.faults
+    base, n = known.calibration, len(known.ids)
+    poses, source, moves = known.poses.copy(), np.arange(n), np.zeros((n, 3, 3))
+    gain = np.stack([known.log_gain[:, 0], np.full(n, np.nan)], axis=1)
+    faults = np.full(n, "", dtype=object) if base.faults is None else base.faults.astype(object)
+    touched = np.zeros(n, dtype=bool)
+    for rows, evidence in zip(known.units, found, strict=True):
+        touched[rows] = evidence.touched
+        for change in evidence.changes:
+            h = change.hypothesis
+            mine = rows if h.taxel < 0 else rows[h.taxel : h.taxel + 1]
+            if h.state in (TURNED, EXCHANGED):  # the places are those of other taxels of the map
+                placed = np.flatnonzero(known.known)
+                source[rows] = placed[cKDTree(known.points[placed]).query(h.points)[1]]
+            if h.state in (TURNED, EXCHANGED, MOVED):
+                rotation = align_normals(known.poses[source[rows], :3, :3], h.normals)
+                poses[rows] = se3.transform(rotation, evidence.state.points)
+            if h.state == MOVED:
+                moves[rows] += change.shift_covariance
+            if h.state == GAIN:
+                gain[mine, 0] += change.log_gain
+                gain[mine, 1] = change.log_gain_sigma
+            if h.state in (DEAD, GAIN):
+                words = h.state if h.state == DEAD else f"gain times {np.exp(change.log_gain):.2f}"
+                faults[mine] = [join_words(f, words) for f in faults[mine]]
     filled = known.known & ~np.isfinite(base.positions[:, 0])
     return replace(
         base,
-        poses=now.poses,
-        covariances=_covariances(known, now),
-        observed=(base.observed | filled[:, None])[now.source],
-        touched=base.touched | (now.touched & ~base.readings.any()),
+        poses=poses,
+        covariances=_covariances(known, poses, source, moves),
+        observed=(base.observed | filled[:, None])[source],
+        touched=base.touched | (touched & ~base.readings.any()),
         reasons=np.where(filled, "", base.reasons).astype(object),
-        faults=np.array([join_words(*pair) for pair in zip(old, now.faults, strict=True)], object),
+        faults=faults,
         contact_centroids=None,
         iterates=None,
         factors=(*base.factors, FACTOR.format(contacts, len(findings))),
-        taxel_unknowns=taxel_unknowns,
+        taxel_unknowns=_taxel_unknowns(known, gain),
         belief=replace(base.belief or belief, taxel_ids=known.ids),
     )
 
 
-def _covariances(known: SkinMap, now: _Changed) -> Array:
-    """(n, 6, 6) in the taxels' frames: those of the taxels at whose places they are, and of what
-    moves add."""
+def _taxel_unknowns(known: SkinMap, gain: Array) -> Mapping[str, Array]:
+    """Those of the map, with the ln gains (n, 2) and their standard deviations, NaN where they are
+    as they were."""
+    base, before = known.calibration, known.calibration.taxel_unknowns.get("gain")
+    if before is None and np.array_equal(gain[:, 0], known.log_gain[:, 0]):
+        return base.taxel_unknowns
+    gain = gain / amplification(base)[:, None]
+    old = np.zeros(len(gain)) if before is None else before[:, 1]
+    gain[:, 1] = np.where(np.isnan(gain[:, 1]), old, gain[:, 1])
+    return {**base.taxel_unknowns, "gain": gain}
+
+
+def _covariances(known: SkinMap, poses: Array, source: np.ndarray, moves: Array) -> Array:
+    """(n, 6, 6) in the taxels' frames: those of the taxels (n,) of the map at whose places they are
+    now, with `poses` (n, 4, 4), and what `moves` add (n, 3, 3), body frame, m^2."""
     out = np.array(known.calibration.covariances)
-    before, after = known.poses[:, :3, :3], now.poses[:, :3, :3]
+    before, after = known.poses[:, :3, :3], poses[:, :3, :3]
     out[:, :3, :3] = np.swapaxes(before, 1, 2) @ known.covariance @ before
-    out = out[now.source]
-    out[:, :3, :3] += np.swapaxes(after, 1, 2) @ now.shift_covariance @ after
-    out[~known.known & ~np.isfinite(now.poses[:, 0, 3])] = np.diag([np.inf] * 6)
+    out = out[source]
+    out[:, :3, :3] += np.swapaxes(after, 1, 2) @ moves @ after
+    out[~known.known & ~np.isfinite(poses[:, 0, 3])] = np.diag([np.inf] * 6)
     return out

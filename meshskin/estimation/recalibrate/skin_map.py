@@ -86,8 +86,8 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
     """The map of an earlier calibration, or of a skin with standard deviation `sigma`, m.
 
     Taxels are grouped by the belief's modules, or by those of iCub where the ids are theirs. A
-    taxel of a module without a place gets that of its slot. Raises CalibrationError for another
-    type and for a map of less than one taxel.
+    taxel of a module without a place gets that of its slot, where three others have one. Raises
+    CalibrationError for another type and for a map of less than one taxel.
     """
     check_real("sigma of the earlier map", sigma, "m", above=0.0, error=CalibrationError)
     base = _by_rising_ids(_of_skin(previous, sigma) if isinstance(previous, Skin) else previous)
@@ -111,13 +111,16 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
         units, numbers = tuple(rows[:, None]), ids[rows]
         return SkinMap(base, poses, covariance, log_gain, offset, units, numbers, None)
     numbers, group = np.unique(ids // len(layout), return_inverse=True)
+    places = layout[ids % len(layout)]
     for k in range(len(numbers)):
-        rows = np.flatnonzero(group == k)
-        _fill(poses, covariance, rows, layout[ids[rows] % len(layout)], known[rows], sigma)
+        lost, others = (np.flatnonzero((group == k) & mask) for mask in (~known, known))
+        if len(lost) and len(others) >= 3:
+            pose = se3.align(places[others], poses[others, :3, 3])
+            poses[lost] = pose @ se3.transform(np.eye(3), places[lost])
+            covariance[lost] = np.eye(3) * sigma**2
     placed = np.isfinite(poses[:, 0, 3])
-    units = tuple(np.flatnonzero(placed & (group == k)) for k in range(len(numbers)))
-    full = [k for k, rows in enumerate(units) if len(rows)]
-    units, numbers = tuple(units[k] for k in full), numbers[full]
+    full = np.unique(group[placed])
+    units, numbers = tuple(np.flatnonzero(placed & (group == k)) for k in full), numbers[full]
     return SkinMap(base, poses, covariance, log_gain, offset, units, numbers, np.asarray(layout))
 
 
@@ -166,23 +169,6 @@ def amplification(previous: Calibration) -> Array:
         own = np.isin(previous.ids, response.taxels) | (group == 0)
         factor[own] = 1 + response.levels[0] * compression
     return factor
-
-
-def _fill(
-    poses: Array,
-    covariance: Array,
-    rows: np.ndarray,
-    offsets: Array,
-    known: np.ndarray,
-    sigma: float,
-) -> None:
-    """Give the taxels of a module that have no place that of their slot, where three others do."""
-    if known.all() or known.sum() < 3:
-        return
-    pose = se3.align(offsets[known], poses[rows[known], :3, 3])
-    lost = rows[~known]
-    poses[lost] = pose @ se3.transform(np.eye(3), offsets[~known])
-    covariance[lost] = np.eye(3) * sigma**2
 
 
 def turns(layout: Array, used: np.ndarray) -> dict[float, np.ndarray]:

@@ -136,7 +136,8 @@ def _fitted(
         damping /= 10.0
         # the touches' information without the prior, in the covariance after it
         explained = len(matrix) - float(np.sum(weight * np.diag(np.linalg.inv(matrix))))
-        before, scatter = scatter, _scatter(residual, explained)
+        left, before = max(len(residual) - explained, 1.0), scatter
+        scatter = float(np.sqrt(max(np.sum(residual**2) / left, 1e-12)))
         stage.step()
         if np.abs(step).max() < CONVERGED and abs(scatter - before) < SETTLED * scatter:
             break
@@ -170,12 +171,6 @@ def _normal_equations(residual: Array, slope: Array, scatter: float) -> tuple[Ar
 
 def _cost(residual: Array, value: Array, weight: Array, scatter: float) -> float:
     return 0.5 * float(np.sum(residual**2) / scatter**2 + np.sum(weight * value**2))
-
-
-def _scatter(residual: Array, explained: float) -> float:
-    """Standard deviation of the residuals, with the degrees of freedom that the data explained."""
-    left = max(len(residual) - explained, 1.0)
-    return float(np.sqrt(max(np.sum(residual**2) / left, 1e-12)))
 
 
 def _undetermined(

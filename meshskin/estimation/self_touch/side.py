@@ -56,10 +56,9 @@ class TouchSide(Value, NamedFields):
         check_fields(self)
         if self.chain is not None:
             check_type(Chain, self.chain, "the chain of a skin that touches")
-        shapes = {"angles": 2, "positions": 2, "readings": 2}
-        for name, dimensions in shapes.items():
+        for name in ("angles", "positions", "readings"):
             value = check_array(f"{name} of a skin", getattr(self, name), error=CalibrationError)
-            if value.ndim != dimensions or not np.isfinite(value).all():
+            if value.ndim != 2 or not np.isfinite(value).all():
                 raise CalibrationError(
                     f"{name} of a skin must be a finite table", value=f"shape {value.shape}"
                 )
@@ -67,12 +66,9 @@ class TouchSide(Value, NamedFields):
         n, joints = len(self.positions), len(self.chain.joint_names) if self.chain else 0
         patch = np.zeros(n, dtype=int) if self.patch is None else np.asarray(self.patch)
         object.__setattr__(self, "patch", patch)
-        wanted: dict[str, tuple[int, ...]] = {
-            "angles": (len(self.readings), joints),
-            "positions": (n, 3),
-        }
-        wanted |= {"readings": (len(self.angles), n), "patch": (n,)}
-        for name, shape in wanted.items():
+        touches = len(self.readings)
+        wanted = {"angles": (touches, joints), "positions": (n, 3), "readings": (touches, n)}
+        for name, shape in (*wanted.items(), ("patch", (n,))):
             if getattr(self, name).shape != shape:
                 raise CalibrationError(
                     f"the shape of {name} of a skin is wrong",
@@ -116,8 +112,7 @@ class TouchSide(Value, NamedFields):
     @property
     def labels(self) -> list[str]:
         """What each unknown (u,) is."""
-        six = [f"{kind} along {axis}" for kind in ("displacement", "turn") for axis in "xyz"]
-        six = [name.replace("turn along", "turn about") for name in six]
+        six = [f"{kind} {axis}" for kind in ("displacement along", "turn about") for axis in "xyz"]
         names = [f"mount: {name}" for name in six]
         names += [f"patch {p}: {name}" for p in range(self.patches) for name in six]
         names += [f"joint {name}" for name in (self.chain.joint_names if self.chain else ())]

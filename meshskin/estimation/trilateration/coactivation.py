@@ -18,7 +18,6 @@ from ...core.arrays import Array, means_by_group, sums_by_group
 from .. import chart
 from ..data.corrupt_readings import copied_readings
 from ..data.measurements import Measurements
-from ..data.raw_readings import DENSE
 from ..result import EstimatorResult
 from . import trilaterate
 
@@ -149,12 +148,6 @@ def without_distant_readings(data: Measurements) -> Measurements:
     centre[wide] = means_by_group(where, data.taxel, n, level)[wide]
     distant = np.linalg.norm(where - centre[data.taxel], axis=1) > NEAR * reach
     return data.select(~distant)  # NaN is not distant
-
-
-def without_rest(data: Measurements) -> Measurements:
-    """The readings without distant ones, if taxels are recorded at rest, too."""
-    at_rest = np.any(data.counts > DENSE * len(data.points))
-    return without_distant_readings(data) if at_rest else data
 
 
 def _densest_contact(data: Measurements, rows: np.ndarray, radius: float) -> np.ndarray:

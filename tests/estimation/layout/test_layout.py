@@ -192,11 +192,11 @@ def test_parts_that_no_edge_joins_are_tiled_apart():
 def test_parts_are_placed_by_near_taxels_across_their_gap():
     """One of two strips is 4 mm off and turned; the unit is believed a tenth too small."""
     origins, angles = tiling(1, 6)
-    second = origins @ placement.rotation(0.05).T + np.array([2e-3, 33e-3])
+    second = placement.rotated(origins, 0.05) + np.array([2e-3, 33e-3])
     both, turns = np.concatenate([origins, second]), np.concatenate([angles, angles + 0.05])
     ids, _ = modules(both, turns)
     true = placement.Modules(ids // 12, slots.OFFSETS[ids % 12, :2], both, turns)
-    wrong = second @ placement.rotation(0.08).T + np.array([3e-3, 2e-3])
+    wrong = placement.rotated(second, 0.08) + np.array([3e-3, 2e-3])
     start = replace(
         true,
         origins=np.concatenate([origins, wrong]),
