@@ -19,7 +19,7 @@ from ..core.arrays import Array
 from ..geometry.surface.surface import Surface
 from .closed_loop_model import REFERENCE, ClosedLoopModel, flat_anchor
 from .integrators import step
-from .machine_code import MachineCode
+from .machine_code import PATCH, MachineCode
 from .track import IDENTITY_MAP, Track, face_margin
 
 LENGTHS = (32, 256)
@@ -127,7 +127,6 @@ class InterpretedRollout:
         self.lengths = CVODES_LENGTHS if loop.integrator == "cvodes" else LENGTHS
         self._blocks = [StepBlock(loop, length) for length in self.lengths]
         self._surface, self._force = surface, loop.outputs["force"].start
-        self._patches: dict[int, Array] = {}
 
     def run(
         self, state: Array, track: Track, parameters: Array, until_touch: bool
@@ -145,23 +144,14 @@ class InterpretedRollout:
         return np.concatenate([state[None], states[:count]]), outputs[:count]
 
     def _fill(self, block: StepBlock, track: Track) -> None:
-        """Set a block's references and anchors."""
-        count, faces, anchors = len(track), track.faces, block.anchors
-        patch, face_map = anchors[:, : -len(IDENTITY_MAP)], anchors[:, -len(IDENTITY_MAP) :]
-        block.references[:count], face_map[:count] = track.references, track.maps
-        first = 0
-        for end in [*(np.flatnonzero(np.diff(faces)) + 1).tolist(), count]:
-            patch[first:end] = self._patch(int(faces[first]))
-            first = end
-        # the remaining steps run, too, and are discarded: they get valid inputs
-        block.references[count:] = track.references[-1]
-        patch[count:], face_map[count:] = self._patch(int(faces[-1])), IDENTITY_MAP
-
-    def _patch(self, face: int) -> Array:
-        """Patch of a face (63,), column-major."""
-        if face not in self._patches:
-            self._patches[face] = self._surface.patches[face].T.ravel()
-        return self._patches[face]
+        """Set a block's references and anchors. The steps after the track's run, too, and are
+        discarded: they rest at its last row."""
+        rows = np.minimum(np.arange(block.length), len(track) - 1)
+        patches = self._surface.patches[track.faces[rows]]
+        block.references[:] = track.references[rows]
+        block.anchors[:, :PATCH] = patches.swapaxes(1, 2).reshape(block.length, PATCH)
+        block.anchors[:, PATCH:] = track.maps[rows]
+        block.anchors[len(track) :, PATCH:] = IDENTITY_MAP
 
 
 Rollout = CompiledRollout | InterpretedRollout
