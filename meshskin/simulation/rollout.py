@@ -20,18 +20,13 @@ from ..geometry.surface.surface import Surface
 from .closed_loop_model import REFERENCE, ClosedLoopModel, flat_anchor
 from .integrators import step
 from .machine_code import PATCH, MachineCode
-from .track import IDENTITY_MAP, Track, face_margin
+from .track import FACE_MARGIN, IDENTITY_MAP, Track, face_margin
 
 LENGTHS = (32, 256)
 """Steps a call: short where the run may be cut off, which wastes the rest; long along the path,
 where a call's overhead is spread over more steps."""
-COMPILED_LENGTHS = (32, 512)
-"""Steps a call of machine code, which stops where the run is cut off."""
 CVODES_LENGTHS = (1, 8)
 """Steps a call of CVODES, whose steps take milliseconds each."""
-FACE_MARGIN = 0.25
-"""Largest distance, in barycentric weight, of the foot point outside its face. A patch is a
-polynomial that continues there; beyond, the foot point is searched for on the mesh."""
 
 
 @dataclass(frozen=True)
@@ -91,35 +86,6 @@ class StepBlock:
         )
 
 
-class CompiledRollout:
-    """Steps in machine code."""
-
-    lengths = COMPILED_LENGTHS
-
-    def __init__(self, code: MachineCode) -> None:
-        self._code = code
-        self._states, self._outputs = (np.zeros((self.lengths[1] + 1, k)) for k in code.sizes)
-
-    def run(
-        self, state: Array, track: Track, parameters: Array, until_touch: bool
-    ) -> tuple[Array, Array]:
-        """States (k + 1, n) and outputs (k, m) along a track; see the module."""
-        states, outputs, count = self._states, self._outputs, len(track)
-        states[0] = state
-        done = self._code.steps(
-            states[:count],
-            states[1 : count + 1],
-            track.references,
-            track.faces,
-            track.maps,
-            parameters,
-            outputs[:count],
-            FACE_MARGIN,
-            until_touch,
-        )
-        return states[: done + 1], outputs[:done]
-
-
 class InterpretedRollout:
     """Steps in CasADi's virtual machine, in blocks of the two lengths."""
 
@@ -154,4 +120,4 @@ class InterpretedRollout:
         block.anchors[len(track) :, PATCH:] = IDENTITY_MAP
 
 
-Rollout = CompiledRollout | InterpretedRollout
+Rollout = MachineCode | InterpretedRollout

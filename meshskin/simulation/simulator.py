@@ -24,8 +24,8 @@ from .closed_loop_model import (
 )
 from .integrators import step
 from .machine_code import machine_code
-from .rollout import FACE_MARGIN, CompiledRollout, InterpretedRollout, Rollout, Steps
-from .track import IDENTITY_MAP, Track, face_maps, face_margin, map_foot
+from .rollout import InterpretedRollout, Rollout, Steps
+from .track import FACE_MARGIN, IDENTITY_MAP, Track, face_maps, face_margin, map_foot
 
 EDGE_WEIGHT = 1e-6
 """Barycentric weight below which a foot point counts as on a side of its face."""
@@ -74,9 +74,7 @@ class Simulator:
         self.body, self.loop = body, loop
         self.function = step(loop)
         code = machine_code(loop, body.surface.patches, compile_, steps)
-        self.rollout: Rollout = (
-            InterpretedRollout(loop, body.surface) if code is None else CompiledRollout(code)
-        )
+        self.rollout: Rollout = code or InterpretedRollout(loop, body.surface)
         self.size = len(start)
         """Length n of a configuration."""
         self.state = np.zeros(self.function.size1_in(0))
