@@ -172,9 +172,8 @@ class Body(Value, Card):
     @cached_property
     def embree_scene(self) -> tuple[Array, float, Any]:
         """Centre and extent of the mesh, m, and the embree scene of it, scaled by them."""
-        vertices = self.surface.vertices
-        centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-        scaled = (vertices - centre) / self.surface.scale
+        centre = self.surface.bounds.mean(axis=0)
+        scaled = (self.surface.vertices - centre) / self.surface.scale
         return centre, self.surface.scale, ray_scene(scaled, self.surface.faces)
 
     @classmethod

@@ -116,12 +116,8 @@ class HalfSpace:
         return body.closest(vertices[[np.argmax(vertices @ _unit(self.normal))]])
 
 
-@dataclass(frozen=True, eq=False)
-class Faces(Value):
-    """Faces of a mesh: by their rows in `body.mesh.faces`, or by a mask over all of them."""
-
-    faces: Sequence[int] | NDArray[np.intp] | NDArray[np.bool_]
-    """(k,) rows, or (m,) bool"""
+class _OfFaces:
+    """A part of a surface that consists of faces."""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points on one of the faces."""
@@ -131,8 +127,19 @@ class Faces(Value):
         """The face centroid nearest to the mean of the centroids."""
         centroids = face_points(body, self._numbers(body), 1)
         off = np.linalg.norm(centroids.point - centroids.point.mean(axis=0), axis=1)
-        k = int(np.argmin(off))
-        return body.surface.at(centroids.face[[k]], centroids.uv[[k]])
+        return centroids.take([int(np.argmin(off))])
+
+    def _numbers(self, body: Body) -> NDArray[np.intp]:
+        """Rows (k,) of the faces. Raises SkinError for none, or wrong ones."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class Faces(_OfFaces, Value):
+    """Faces of a mesh: by their rows in `body.mesh.faces`, or by a mask over all of them."""
+
+    faces: Sequence[int] | NDArray[np.intp] | NDArray[np.bool_]
+    """(k,) rows, or (m,) bool"""
 
     def _numbers(self, body: Body) -> NDArray[np.intp]:
         given, count = np.asarray(self.faces), len(body.surface.faces)
@@ -151,21 +158,13 @@ class Faces(Value):
 
 
 @dataclass(frozen=True)
-class Patch:
+class Patch(_OfFaces):
     """A part of the body by its name in the mesh file: see `Body.patches`."""
 
     patch: str
     """a key of `Body.patches`"""
 
-    def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
-        """The points on the patch's faces."""
-        return self._faces(body).contains(body, at)
-
-    def centre(self, body: Body) -> Closest:
-        """The face centroid nearest to the mean of the centroids."""
-        return self._faces(body).centre(body)
-
-    def _faces(self, body: Body) -> Faces:
+    def _numbers(self, body: Body) -> NDArray[np.intp]:
         found = body.patches.get(self.patch)
         if found is None:
             raise SkinError(
@@ -174,7 +173,7 @@ class Patch:
             )
         if not len(found):
             raise SkinError(f"patch {self.patch!r} of {body.name} has no faces after repairs")
-        return Faces(found)
+        return found
 
 
 @dataclass(frozen=True)
@@ -252,8 +251,7 @@ def as_region(region: Region | str | None) -> Region:
 
 def bounding_box_centre(body: Body) -> Array:
     """The centre (3,) of the bounding box, m."""
-    vertices = body.surface.vertices
-    return np.asarray(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
+    return np.asarray(body.surface.bounds.mean(axis=0))
 
 
 def outermost(body: Body, direction: ArrayLike) -> Closest:
