@@ -15,13 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..core.arrays import (
-    Array,
-    Index,
-    far_apart,
-    means_by_group,
-    sums_by_group,
-)
+from ..core.arrays import Array, Index, far_apart, means_by_group, sums_by_group
 from ..core.errors import SkinError
 from ..core.progress import Stage
 from ..core.se3 import orthonormal_basis
