@@ -222,11 +222,6 @@ class Around:
         return self.middle
 
 
-def exposed(body: Body, region: Region) -> Region:
-    """The part of a region that no other part of the body covers."""
-    return Exposed(region) if body.surface.covered else region
-
-
 def _known(name: str, names: list[str]) -> str:
     """The remedy where a name is not among those of the patches of a body."""
     if not names:
@@ -240,13 +235,13 @@ def _known(name: str, names: list[str]) -> str:
     return f"did you mean {near[0]}? {listed}" if near else listed
 
 
-def as_region(region: Region | str | None) -> Region:
-    """The region itself, the patch of a name, or the whole surface for None. Raises SkinError."""
-    if isinstance(region, str):
-        return Patch(region)
-    if region is not None and not isinstance(region, Region):
+def exposed(body: Body, region: Region | str | None) -> Region:
+    """The part of a region that no other part of the body covers; region: a Region, the name of a
+    patch, or None for the whole surface. Raises SkinError."""
+    found = Patch(region) if isinstance(region, str) else Whole() if region is None else region
+    if not isinstance(found, Region):
         raise SkinError("a region must be the name of a patch or a Region", value=repr(region))
-    return Whole() if region is None else region
+    return Exposed(found) if body.surface.covered else found
 
 
 def bounding_box_centre(body: Body) -> Array:

@@ -95,13 +95,16 @@ class Simulator:
         state[: self.size], state[-2:] = q, self._first_contact.uv[0]
         anchor = flat_anchor(self.body.surface.patches[int(self._first_contact.face[0])])
         if self.loop.delay:  # at rest, all delayed measurements are the present one
-            reference = np.zeros(REFERENCE)
-            values = self.loop.parameters.values
-            output = self.function(state, reference, anchor, values)[1].full()
+            rows = [self.loop.outputs[k].start for k in ("depth", "force")]
             state[-2 - self.loop.memory : -2] = np.tile(
-                output[[self.loop.outputs[k].start for k in ("depth", "force")], 0], self.loop.delay
+                self.output(state, anchor)[rows], self.loop.delay
             )
         return state, anchor
+
+    def output(self, state: Array, anchor: Array) -> Array:
+        """The output (m,) of the step at a state; see ClosedLoopModel.outputs."""
+        inputs = state, np.zeros(REFERENCE), anchor, self.loop.parameters.values
+        return np.asarray(self.function(*inputs)[1].full()[:, 0])
 
     def reset(self) -> None:
         """Return to the start, at rest."""
