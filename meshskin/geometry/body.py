@@ -48,7 +48,7 @@ class Exact(Protocol):
         """The closest points to `points` (n, 3), m, in the body frame."""
         ...
 
-    def mesh(self, faces: int) -> tuple[Array | NDArray[np.intp], ...]:
+    def mesh(self, faces: int) -> tuple[Any, ...]:
         """Vertices (n, 3), m, about `faces` triangles (m, 3), and seams, if any."""
         ...
 
