@@ -182,7 +182,7 @@ def pack(body: Body, region: regions.Region, first: lattice.Lattice, spacing: fl
 
 def _triangles(sites: lattice.Lattice, side: float) -> Index:
     """Triples (k, 3) of sites that are neighbours of each other."""
-    one, two = lattice.neighbour_pairs(sites, lattice.SPRING_REACH * side)
+    one, two = sites.pairs(lattice.SPRING_REACH * side)
     beside: list[set[int]] = [set() for _ in range(len(sites))]
     for a, b in zip(one.tolist(), two.tolist(), strict=True):
         beside[a].add(b)
@@ -199,10 +199,7 @@ def _triangles(sites: lattice.Lattice, side: float) -> Index:
 
 def _near(poses: Array, gap: float) -> tuple[Index, Index]:
     """Pairs of modules whose circumcircles are nearer than a gap (m), normals within 90 degrees."""
-    reach = 2.0 * CIRCUMRADIUS + gap
-    one, two = KDTree(poses[:, :3, 3]).query_pairs(reach, output_type="ndarray").T
-    facing = np.einsum("ki,ki->k", poses[one, :3, 2], poses[two, :3, 2]) > 0.0
-    return one[facing], two[facing]
+    return lattice.facing_pairs(poses[:, :3, 3], poses[:, :3, 2], 2.0 * CIRCUMRADIUS + gap)
 
 
 def push(poses: Array, pairs: tuple[Index, Index], gap: float) -> Array:
