@@ -121,7 +121,7 @@ class Capsule:
         latitudes = np.linspace(0.5 * np.pi, 0.0, n + 1), np.linspace(0.0, -0.5 * np.pi, n + 1)[1:]
         upper, lower = ((radius * np.sin(a), radius * np.cos(a)) for a in latitudes)
         rings = _capped(length, rows, upper, lower, [max(1, 4 * k) for k in range(n + 1)])
-        starts = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])])
+        starts = np.cumsum([0, *map(len, rings)])
         around = np.arange(4 * n)
         seam = np.column_stack([around, (around + 1) % (4 * n)])
         return *_stitch(rings), np.concatenate([seam + starts[n], seam + starts[n + rows]])
@@ -309,21 +309,16 @@ def _capped(
 
 def _stitch(rings: list[Array]) -> tuple[Array, Index]:
     """Triangulate between closed rings of points, top to bottom, in the order of their angles."""
-    starts = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])])
-    faces: list[tuple[int, int, int]] = []
-    for k in range(len(rings) - 1):
-        upper, lower = rings[k], rings[k + 1]
+    starts = np.cumsum([0, *map(len, rings)])
+    faces = []
+    for upper, lower, a, b in zip(rings[:-1], rings[1:], starts[:-2], starts[1:-1], strict=True):
         n, m = len(upper), len(lower)
-        a0, b0 = int(starts[k]), int(starts[k + 1])
-        i = j = 0
-        turn_a = (np.arctan2(upper[0, 1], upper[0, 0]) + np.arange(n + 1) * 2 * np.pi / n).tolist()
-        turn_b = (np.arctan2(lower[0, 1], lower[0, 0]) + np.arange(m + 1) * 2 * np.pi / m).tolist()
-        while (i < n and n > 1) or (j < m and m > 1):
-            down = m > 1 and j < m and (n == 1 or i >= n or turn_b[j + 1] <= turn_a[i + 1])
-            if down:
-                faces.append((a0 + i % n, b0 + j % m, b0 + (j + 1) % m))
-                j += 1
-            else:
-                faces.append((a0 + i % n, b0 + j % m, a0 + (i + 1) % n))
-                i += 1
-    return np.concatenate(rings), np.array(faces, dtype=np.intp)
+        ends = [  # angles at the ends of the edges of both; a point has none
+            np.arctan2(ring[0, 1], ring[0, 0]) + np.arange(1, k + 1 if k > 1 else 1) * 2 * np.pi / k
+            for ring, k in ((lower, m), (upper, n))
+        ]
+        below = np.argsort(np.concatenate(ends), kind="stable") < len(ends[0])
+        i, j = np.cumsum(~below) - ~below, np.cumsum(below) - below
+        apex = np.where(below, b + (j + 1) % m, a + (i + 1) % n)
+        faces.append(np.stack([a + i % n, b + j % m, apex], axis=1))
+    return np.concatenate(rings), np.concatenate(faces)
