@@ -318,7 +318,8 @@ def _stitch(rings: list[Array]) -> tuple[Array, Index]:
             for ring, k in ((lower, m), (upper, n))
         ]
         below = np.argsort(np.concatenate(ends), kind="stable") < len(ends[0])
-        i, j = np.cumsum(~below) - ~below, np.cumsum(below) - below
+        j: Index = np.cumsum(below) - below  # corners of the lower ring before each triangle
+        i: Index = np.arange(len(j)) - j
         apex = np.where(below, b + (j + 1) % m, a + (i + 1) % n)
         faces.append(np.stack([a + i % n, b + j % m, apex], axis=1))
     return np.concatenate(rings), np.concatenate(faces)
