@@ -41,12 +41,7 @@ from .exploration.plan import plan_exploration
 from .recording.recording import Recording
 from .scene.file import read_tables
 from .scene.scene import Scene
-from .simulation.response import (
-    ForceResponse,
-    controlled_force,
-    describe_departure,
-    force_response,
-)
+from .simulation.response import ForceResponse, controlled_force, describe_departure, force_response
 from .simulation.simulate import simulate
 
 if TYPE_CHECKING:

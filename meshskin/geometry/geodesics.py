@@ -97,15 +97,14 @@ def any_tangents(normals: Array) -> Array:
     return onto(np.cross(normals, perpendicular(normals)), normals)
 
 
-def transport_along(normals: Array, first: Array | None = None) -> Array:
+def transport_along(normals: Array) -> Array:
     """A tangent transported along the unit normals (k, 3) of a path: unit tangents (k, 3).
 
-    `first` is the tangent at the start, by default that of `any_tangents`. Each step projects onto
-    the next tangent plane, which is parallel transport up to the square of the angle between the
-    normals.
+    The first is that of `any_tangents`. Each step projects onto the next tangent plane, which is
+    parallel transport up to the square of the angle between the normals.
     """
     out = np.empty_like(normals)
-    tangent = any_tangents(normals[0]) if first is None else first
+    tangent = any_tangents(normals[0])
     for k, normal in enumerate(normals):
         tangent = onto(tangent, normal)
         out[k] = tangent

@@ -1,8 +1,8 @@
 """The primitives, centred at the origin: their exact surfaces, and triangle meshes of them.
 
 A surface has `closest(points)` like a body; `face` is -1 and `uv` zero. Curvatures from do Carmo,
-"Differential Geometry of Curves and Surfaces", chapter 3. A mesh is vertices (n, 3), m, on the
-exact surface, and faces (m, 3).
+"Differential Geometry of Curves and Surfaces", chapter 3. Its `mesh(faces)` of about so many
+triangles is vertices (n, 3), m, on the surface, and faces (m, 3).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.arrays import Array, Index
+from ..core.errors import MeshError
 from ..core.se3 import orthonormal_basis, perpendicular
 from .surface.closest_point import Closest
 
@@ -81,6 +82,11 @@ class Sphere:
             self.radius * normal, length - self.radius, normal, k, k, perpendicular(normal)
         )
 
+    def mesh(self, faces: int) -> tuple[Array, Index]:
+        """An icosphere."""
+        vertices, triangles = sphere_mesh(faces)
+        return self.radius * vertices, triangles
+
 
 @dataclass(frozen=True)
 class Capsule:
@@ -101,6 +107,24 @@ class Capsule:
         return _answer(
             axis + self.radius * normal, gap - self.radius, normal, k, second, _round(normal)
         )
+
+    def mesh(self, faces: int) -> tuple[Array, Index, Index]:
+        """Rows of triangles on the cylinder, half octahedra at its ends.
+
+        Third, the seams (k, 2) of cylinder and half spheres: edges, by their vertices.
+        """
+        radius, length = self.radius, self.length
+        area_sphere, area_side = 4.0 * np.pi * radius**2, 2.0 * np.pi * radius * length
+        n = max(2, round(float(np.sqrt(faces / 8.0 * area_sphere / (area_sphere + area_side)))))
+        step = 2.0 * np.pi * radius / (4 * n)
+        rows = max(1, round(length / (step * np.sqrt(3.0) / 2.0))) if length > 0 else 0
+        latitudes = np.linspace(0.5 * np.pi, 0.0, n + 1), np.linspace(0.0, -0.5 * np.pi, n + 1)[1:]
+        upper, lower = ((radius * np.sin(a), radius * np.cos(a)) for a in latitudes)
+        rings = _capped(length, rows, upper, lower, [max(1, 4 * k) for k in range(n + 1)])
+        starts = np.cumsum([0, *map(len, rings)])
+        around = np.arange(4 * n)
+        seam = np.column_stack([around, (around + 1) % (4 * n)])
+        return *_stitch(rings), np.concatenate([seam + starts[n], seam + starts[n + rows]])
 
 
 @dataclass(frozen=True)
@@ -131,6 +155,18 @@ class Cylinder:
         side = np.where(flat, 0.0, 1.0 / self.radius)
         return _answer(foot, distance, normal, side, 0.0, _round(normal))
 
+    def mesh(self, faces: int) -> tuple[Array, Index]:
+        """Rows of triangles on the side, rings on the caps."""
+        radius, length = self.radius, self.length
+        area = 2.0 * np.pi * radius * (radius + length)
+        step = float(np.sqrt(area / (faces * np.sqrt(3.0) / 4.0)))
+        n = max(2, round(2.0 * np.pi * radius / (6.0 * step)))
+        rows = max(1, round(length / (2.0 * np.pi * radius / (6 * n) * np.sqrt(3.0) / 2.0)))
+        cap = np.array([radius * k / n for k in range(n + 1)])
+        counts = [1, *(6 * k for k in range(1, n + 1))]
+        flat = np.zeros(n + 1)
+        return _stitch(_capped(length, rows, (flat, cap), (flat[1:], cap[n - 1 :: -1]), counts))
+
 
 @dataclass(frozen=True)
 class Torus:
@@ -150,6 +186,26 @@ class Torus:
         around = outward / (self.major + self.minor * outward)
         meridian = np.cross(_round(radial), normal)
         return _answer(foot, gap - self.minor, normal, 1.0 / self.minor, around, meridian)
+
+    def mesh(self, faces: int) -> tuple[Array, Index]:
+        """A regular grid. Raises MeshError for a torus that intersects itself."""
+        major, minor = self.major, self.minor
+        if not major > minor:
+            raise MeshError("the torus intersects itself", value=f"{major} m", limit=f"> {minor} m")
+        around = max(6, round(float(np.sqrt(faces * major / (2.0 * minor)))))
+        across = max(6, round(faces / (2.0 * around)))
+        i, j = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
+        a, b = 2.0 * np.pi * i / around, 2.0 * np.pi * (j + 0.5 * (i % 2)) / across
+        if around % 2:
+            b = 2.0 * np.pi * j / across
+        radial = major + minor * np.cos(b)
+        vertices = np.stack([radial * np.cos(a), radial * np.sin(a), minor * np.sin(b)], axis=-1)
+        here, there, k = i * across, (i + 1) % around * across, (j + 1) % across
+        node, up, east, east_up = here + j, here + k, there + j, there + k
+        odd = (i % 2 == 1) & (around % 2 == 0)  # cut along the other diagonal
+        first = np.stack([node, east, np.where(odd, east_up, up)], axis=-1)
+        second = np.stack([np.where(odd, node, east), east_up, up], axis=-1)
+        return vertices.reshape(-1, 3), np.stack([first, second]).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
@@ -188,6 +244,17 @@ class Ellipsoid:
         first = _steepest(normal, r)
         return _answer(foot, distance, normal, mean + spread, mean - spread, first)
 
+    def mesh(self, faces: int) -> tuple[Array, Index]:
+        """The image of an icosphere.
+
+        Scaling the sphere by the radii leaves large angles between faces at sharp ends, the inverse
+        of the Gauss map large faces on flat sides; halfway between, both vary by the square root of
+        the ratio of the radii.
+        """
+        radii, (directions, triangles) = np.array(self.radii), sphere_mesh(faces)
+        scaled = np.sqrt(radii) * directions
+        return radii * scaled / np.linalg.norm(scaled, axis=1, keepdims=True), triangles
+
 
 def sphere_mesh(faces: int) -> tuple[Array, Index]:
     """Unit icosphere with the number of faces 20 * 4^k nearest (in ratio) to `faces`."""
@@ -213,70 +280,6 @@ def _divided(vertices: Array, triangles: Index) -> tuple[Array, Index]:
     (i, j, k), (ij, jk, ki) = triangles.T, len(vertices) + inverse.reshape(-1, 3).T
     parts = np.stack([i, ij, ki, ij, j, jk, ki, jk, k, ij, jk, ki], axis=1)
     return np.concatenate([vertices, middle]), parts.reshape(-1, 3)
-
-
-def ellipsoid_mesh(radii: Array, faces: int) -> tuple[Array, Index]:
-    """Ellipsoid of semi-axes `radii` (3,), as the image of an icosphere.
-
-    Scaling the sphere by the radii leaves large angles between faces at sharp ends, the inverse of
-    the Gauss map large faces on flat sides; halfway between, both vary by the square root of the
-    ratio of the radii.
-    """
-    directions, triangles = sphere_mesh(faces)
-    scaled = np.sqrt(radii) * directions
-    return radii * scaled / np.linalg.norm(scaled, axis=1, keepdims=True), triangles
-
-
-def cylinder_mesh(radius: float, length: float, faces: int) -> tuple[Array, Index]:
-    """Cylinder along z with flat caps: rows of triangles on the side, rings on the caps."""
-    area = 2.0 * np.pi * radius * (radius + length)
-    step = float(np.sqrt(area / (faces * np.sqrt(3.0) / 4.0)))
-    n = max(2, round(2.0 * np.pi * radius / (6.0 * step)))
-    rows = max(1, round(length / (2.0 * np.pi * radius / (6 * n) * np.sqrt(3.0) / 2.0)))
-    cap = np.array([radius * k / n for k in range(n + 1)])
-    counts = [1, *(6 * k for k in range(1, n + 1))]
-    flat = np.zeros(n + 1)
-    return _stitch(_capped(length, rows, (flat, cap), (flat[1:], cap[n - 1 :: -1]), counts))
-
-
-def capsule_mesh(radius: float, length: float, faces: int) -> tuple[Array, Index, Index]:
-    """Capsule along z: rows of triangles on the cylinder, half octahedra at its ends.
-
-    Third, the seams (k, 2): edges, by their vertices, between the cylinder and the half spheres.
-    """
-    area_sphere, area_side = 4.0 * np.pi * radius**2, 2.0 * np.pi * radius * length
-    n = max(2, round(float(np.sqrt(faces / 8.0 * area_sphere / (area_sphere + area_side)))))
-    step = 2.0 * np.pi * radius / (4 * n)
-    rows = max(1, round(length / (step * np.sqrt(3.0) / 2.0))) if length > 0 else 0
-    latitudes = np.linspace(0.5 * np.pi, 0.0, n + 1), np.linspace(0.0, -0.5 * np.pi, n + 1)[1:]
-    upper, lower = ((radius * np.sin(a), radius * np.cos(a)) for a in latitudes)
-    rings = _capped(length, rows, upper, lower, [max(1, 4 * k) for k in range(n + 1)])
-    starts = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])])
-    around = np.arange(4 * n)
-    seam = np.column_stack([around, (around + 1) % (4 * n)])
-    return *_stitch(rings), np.concatenate([seam + starts[n], seam + starts[n + rows]])
-
-
-def torus_mesh(major: float, minor: float, faces: int) -> tuple[Array, Index]:
-    """Torus about z as a regular grid with about `faces` triangles."""
-    around = max(6, round(float(np.sqrt(faces * major / (2.0 * minor)))))
-    across = max(6, round(faces / (2.0 * around)))
-    i, j = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
-    a, b = 2.0 * np.pi * i / around, 2.0 * np.pi * (j + 0.5 * (i % 2)) / across
-    if around % 2:
-        b = 2.0 * np.pi * j / across
-    radial = major + minor * np.cos(b)
-    vertices = np.stack([radial * np.cos(a), radial * np.sin(a), minor * np.sin(b)], axis=-1)
-    node, up = i * across + j, i * across + (j + 1) % across
-    east, east_up = ((i + 1) % around) * across + j, ((i + 1) % around) * across + (j + 1) % across
-    odd = (i % 2 == 1) & (around % 2 == 0)
-    first = np.where(
-        odd[..., None], np.stack([node, east, east_up], -1), np.stack([node, east, up], -1)
-    )
-    second = np.where(
-        odd[..., None], np.stack([node, east_up, up], -1), np.stack([east, east_up, up], -1)
-    )
-    return vertices.reshape(-1, 3), np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
 
 
 def _capped(
@@ -306,21 +309,17 @@ def _capped(
 
 def _stitch(rings: list[Array]) -> tuple[Array, Index]:
     """Triangulate between closed rings of points, top to bottom, in the order of their angles."""
-    starts = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])])
-    faces: list[tuple[int, int, int]] = []
-    for k in range(len(rings) - 1):
-        upper, lower = rings[k], rings[k + 1]
+    starts = np.cumsum([0, *map(len, rings)])
+    faces = []
+    for upper, lower, a, b in zip(rings[:-1], rings[1:], starts[:-2], starts[1:-1], strict=True):
         n, m = len(upper), len(lower)
-        a0, b0 = int(starts[k]), int(starts[k + 1])
-        i = j = 0
-        turn_a = (np.arctan2(upper[0, 1], upper[0, 0]) + np.arange(n + 1) * 2 * np.pi / n).tolist()
-        turn_b = (np.arctan2(lower[0, 1], lower[0, 0]) + np.arange(m + 1) * 2 * np.pi / m).tolist()
-        while (i < n and n > 1) or (j < m and m > 1):
-            down = m > 1 and j < m and (n == 1 or i >= n or turn_b[j + 1] <= turn_a[i + 1])
-            if down:
-                faces.append((a0 + i % n, b0 + j % m, b0 + (j + 1) % m))
-                j += 1
-            else:
-                faces.append((a0 + i % n, b0 + j % m, a0 + (i + 1) % n))
-                i += 1
-    return np.concatenate(rings), np.array(faces, dtype=np.intp)
+        ends = [  # angles at the ends of the edges of both; a point has none
+            np.arctan2(ring[0, 1], ring[0, 0]) + np.arange(1, k + 1 if k > 1 else 1) * 2 * np.pi / k
+            for ring, k in ((lower, m), (upper, n))
+        ]
+        below = np.argsort(np.concatenate(ends), kind="stable") < len(ends[0])
+        j: Index = np.cumsum(below) - below  # corners of the lower ring before each triangle
+        i: Index = np.arange(len(j)) - j
+        apex = np.where(below, b + (j + 1) % m, a + (i + 1) % n)
+        faces.append(np.stack([a + i % n, b + j % m, apex], axis=1))
+    return np.concatenate(rings), np.concatenate(faces)

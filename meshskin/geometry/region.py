@@ -116,12 +116,8 @@ class HalfSpace:
         return body.closest(vertices[[np.argmax(vertices @ _unit(self.normal))]])
 
 
-@dataclass(frozen=True, eq=False)
-class Faces(Value):
-    """Faces of a mesh: by their rows in `body.mesh.faces`, or by a mask over all of them."""
-
-    faces: Sequence[int] | NDArray[np.intp] | NDArray[np.bool_]
-    """(k,) rows, or (m,) bool"""
+class _OfFaces:
+    """A part of a surface that consists of faces."""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points on one of the faces."""
@@ -131,8 +127,19 @@ class Faces(Value):
         """The face centroid nearest to the mean of the centroids."""
         centroids = face_points(body, self._numbers(body), 1)
         off = np.linalg.norm(centroids.point - centroids.point.mean(axis=0), axis=1)
-        k = int(np.argmin(off))
-        return body.surface.at(centroids.face[[k]], centroids.uv[[k]])
+        return centroids.take([int(np.argmin(off))])
+
+    def _numbers(self, body: Body) -> NDArray[np.intp]:
+        """Rows (k,) of the faces. Raises SkinError for none, or wrong ones."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class Faces(_OfFaces, Value):
+    """Faces of a mesh: by their rows in `body.mesh.faces`, or by a mask over all of them."""
+
+    faces: Sequence[int] | NDArray[np.intp] | NDArray[np.bool_]
+    """(k,) rows, or (m,) bool"""
 
     def _numbers(self, body: Body) -> NDArray[np.intp]:
         given, count = np.asarray(self.faces), len(body.surface.faces)
@@ -151,21 +158,13 @@ class Faces(Value):
 
 
 @dataclass(frozen=True)
-class Patch:
+class Patch(_OfFaces):
     """A part of the body by its name in the mesh file: see `Body.patches`."""
 
     patch: str
     """a key of `Body.patches`"""
 
-    def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
-        """The points on the patch's faces."""
-        return self._faces(body).contains(body, at)
-
-    def centre(self, body: Body) -> Closest:
-        """The face centroid nearest to the mean of the centroids."""
-        return self._faces(body).centre(body)
-
-    def _faces(self, body: Body) -> Faces:
+    def _numbers(self, body: Body) -> NDArray[np.intp]:
         found = body.patches.get(self.patch)
         if found is None:
             raise SkinError(
@@ -174,7 +173,7 @@ class Patch:
             )
         if not len(found):
             raise SkinError(f"patch {self.patch!r} of {body.name} has no faces after repairs")
-        return Faces(found)
+        return found
 
 
 @dataclass(frozen=True)
@@ -223,11 +222,6 @@ class Around:
         return self.middle
 
 
-def exposed(body: Body, region: Region) -> Region:
-    """The part of a region that no other part of the body covers."""
-    return Exposed(region) if body.surface.covered else region
-
-
 def _known(name: str, names: list[str]) -> str:
     """The remedy where a name is not among those of the patches of a body."""
     if not names:
@@ -241,19 +235,18 @@ def _known(name: str, names: list[str]) -> str:
     return f"did you mean {near[0]}? {listed}" if near else listed
 
 
-def as_region(region: Region | str | None) -> Region:
-    """The region itself, the patch of a name, or the whole surface for None. Raises SkinError."""
-    if isinstance(region, str):
-        return Patch(region)
-    if region is not None and not isinstance(region, Region):
+def exposed(body: Body, region: Region | str | None) -> Region:
+    """The part of a region that no other part of the body covers; region: a Region, the name of a
+    patch, or None for the whole surface. Raises SkinError."""
+    found = Patch(region) if isinstance(region, str) else Whole() if region is None else region
+    if not isinstance(found, Region):
         raise SkinError("a region must be the name of a patch or a Region", value=repr(region))
-    return Whole() if region is None else region
+    return Exposed(found) if body.surface.covered else found
 
 
 def bounding_box_centre(body: Body) -> Array:
     """The centre (3,) of the bounding box, m."""
-    vertices = body.surface.vertices
-    return np.asarray(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
+    return np.asarray(body.surface.bounds.mean(axis=0))
 
 
 def outermost(body: Body, direction: ArrayLike) -> Closest:

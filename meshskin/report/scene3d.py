@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import Array
 from ..geometry.body import Body
-from ..geometry.primitives import capsule_mesh
+from ..geometry.primitives import Capsule
 from ..geometry.surface.fans import vertex_normals
 from ..recording.recording import Recording
 from . import maps, markup, theme
@@ -119,7 +119,7 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
     sigma = np.sqrt(np.maximum(values, 0.0))
     factor, short = drawn_scale(sigma[:, 2], wanted)
     every = -(-int(good.sum()) // _MAX_FRAMES)
-    ball, faces, _ = capsule_mesh(1.0, 0.0, faces=200 if good.sum() <= 150 else 72)
+    ball, faces, _ = Capsule(1.0, 0.0).mesh(faces=200 if good.sum() <= 150 else 72)
     axes = ((factor * short)[:, None, None] * sigma[:, None, :] * vectors)[::every]
     cut = int(np.sum(short < 1.0))
     points = positions[good][::every, None] + np.einsum("nij,vj->nvi", axes, ball)

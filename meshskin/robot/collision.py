@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from itertools import takewhile
 
 import casadi as ca
 import numpy as np
@@ -224,12 +225,8 @@ def allowed_collisions(arm: Arm, body: Body, mount: Array) -> AllowedCollisions:
 
 def _fixed_to_tip(arm: Arm) -> list[str]:
     """The links that are fixed to the tip, itself included."""
-    links = [arm.tip]
-    for joint in reversed(arm.chain):
-        if joint.kind != "fixed":
-            break
-        links.append(joint.parent)
-    return links
+    fixed = takewhile(lambda joint: joint.kind == "fixed", reversed(arm.chain))
+    return [arm.tip, *(joint.parent for joint in fixed)]
 
 
 def arm_reasons(

@@ -220,13 +220,15 @@ class ContactKinematics(NamedFields):
 
     def value(self, name: str, s: Array) -> float:
         """The entry of a scalar unknown in s (K,); 0 if it is not declared."""
-        return float(s[self.columns[name]][0]) if name in self.columns else 0.0
+        return float(self._entries(name, s, 1)[0])
+
+    def _entries(self, name: str, s: Array, size: int) -> Array:
+        """The entries of an unknown in s (K,); zeros (size,) if it is not declared."""
+        return s[self.columns[name]] if name in self.columns else np.zeros(size)
 
     def mount_at(self, s: Array) -> Array:
         """T_link_body (4, 4) with the unknowns s (K,)."""
-        if "mount" not in self.columns:
-            return self.mount
-        shift, turn = np.split(s[self.columns["mount"]], 2)
+        shift, turn = np.split(self._entries("mount", s, 6), 2)
         return np.asarray(self.mount @ transform(exp_so3(turn), shift))
 
     @cached_property
@@ -237,8 +239,7 @@ class ContactKinematics(NamedFields):
     def delays(self, s: Array) -> Array:
         """How late (k,), s, the stamps of all joints are with the unknowns s (K,)."""
         out = np.zeros(len(self.chain.joint_names))
-        if JOINT_DELAY in self.columns:
-            out[self._late] = s[self.columns[JOINT_DELAY]]
+        out[self._late] = self._entries(JOINT_DELAY, s, len(self._late))
         return out
 
     def centres(self, path: JointPath, time: Array, s: Array) -> tuple[Array, Array]:
@@ -246,34 +247,22 @@ class ContactKinematics(NamedFields):
         and their derivatives (m, 3, K).
         """
         angles, rates = path.at(time - self.value("clock_offset", s), self.delays(s))
-        joints = (
-            s[self.columns[JOINT_OFFSET]]
-            if JOINT_OFFSET in self.columns
-            else np.zeros(angles.shape[1])
-        )
-        point = self.indenter.copy()
-        if "indenter_position" in self.columns:
-            point += s[self.columns["indenter_position"]]
-        held = self.chain.with_tip(transform(np.eye(3), point))
-        poses = held.poses(angles + joints)
-        by_joint = held.jacobian(angles + joints)[:, :3]
-        mount = self.mount_at(s)
-        back = mount[:3, :3].T
+        angles = angles + self._entries(JOINT_OFFSET, s, angles.shape[1])
+        point = self.indenter + self._entries("indenter_position", s, 3)
+        held, mount = self.chain.with_tip(transform(np.eye(3), point)), self.mount_at(s)
+        poses, back = held.poses(angles), mount[:3, :3].T
         centre = (poses[:, :3, 3] - mount[:3, 3]) @ back.T
+        by_joint = back @ held.jacobian(angles)[:, :3]
+        derivatives = {
+            JOINT_OFFSET: by_joint,
+            JOINT_DELAY: (by_joint * rates[:, None])[:, :, self._late],
+            "indenter_position": back @ poses[:, :3, :3],
+            "clock_offset": -by_joint @ rates[:, :, None],
+            "mount": self._by_mount(centre, self._entries("mount", s, 6)[3:]),
+        }
         slopes = np.zeros((len(centre), 3, len(s)))
-        by_joint = back @ by_joint
-        if JOINT_OFFSET in self.columns:
-            slopes[:, :, self.columns[JOINT_OFFSET]] = by_joint
-        if JOINT_DELAY in self.columns:
-            slopes[:, :, self.columns[JOINT_DELAY]] = (by_joint * rates[:, None])[:, :, self._late]
-        if "indenter_position" in self.columns:
-            slopes[:, :, self.columns["indenter_position"]] = back @ poses[:, :3, :3]
-        if "clock_offset" in self.columns:
-            slopes[:, :, self.columns["clock_offset"]] = -by_joint @ rates[:, :, None]
-        if "mount" in self.columns:
-            slopes[:, :, self.columns["mount"]] = self._by_mount(
-                centre, s[self.columns["mount"]][3:]
-            )
+        for name in derivatives.keys() & self.columns.keys():
+            slopes[:, :, self.columns[name]] = derivatives[name]
         return centre, slopes
 
     def _by_mount(self, centre: Array, turn: Array) -> Array:

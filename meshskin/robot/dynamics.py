@@ -53,14 +53,6 @@ class Dynamics:
         torque = self._adam.rnea(ca.SX.eye(4), self._all(q), ca.SX(6, 1), rates, gravity).array
         return ca.densify(self._gather.T @ torque[6:])
 
-    def pose(self, q: ca.SX) -> ca.SX:
-        """T_w_tip (4, 4)."""
-        return self._arm.kinematics(q)[0]
-
-    def jacobian(self, q: ca.SX) -> ca.SX:
-        """Jacobian (6, n) of the tip, linear over angular velocity, world axes."""
-        return self._arm.kinematics(q)[1]
-
     def _all(self, q: ca.SX) -> ca.SX:
         """Positions of all moving joints of the chain."""
         return ca.vertcat(*(by.position(q) for by in self._arm.driven))

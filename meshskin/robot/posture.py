@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from .arm import Arm
 from .inverse_kinematics import TOLERANCE, pose_rows, unwrapped
-from .whole_turns import endless_joints, with_whole_turns
+from .whole_turns import endless_joints, used_first, with_whole_turns
 
 SPINS = 24
 """Spins about the normal that are tried at every sample: every 15 degrees, within the largest step
@@ -242,7 +242,10 @@ def cheapest_chain(
     """
     q, spins = found.q, found.q.shape[1]
     node_cost = LIMIT_COST * np.maximum(0.0, 1.0 - found.margin / LIMIT_RANGE) ** 2
-    q, offset, node_cost = _compact(q, found.offset, np.where(usable, node_cost, np.inf))
+    node_cost = np.where(usable, node_cost, np.inf)
+    first = used_first(np.isfinite(node_cost))
+    q = np.take_along_axis(q, first[..., None], axis=2)
+    offset, node_cost = (np.take_along_axis(x, first, axis=2) for x in (found.offset, node_cost))
     endless, width = endless_joints(arm), node_cost.shape[2]
     cost = node_cost[0]
     parents: NDArray[np.intp] = np.zeros(node_cost.shape, dtype=np.intp)
@@ -265,18 +268,6 @@ def cheapest_chain(
             parents[k] = np.where(restarts[k], parents[k], before)
         cost = best + node_cost[k]
     return _backtrack(q, offset, cost, parents, restarts)
-
-
-def _compact(q: Array, offset: Array, node_cost: Array) -> tuple[Array, Array, Array]:
-    """`q` (m, s, b, n), `offset` and `node_cost` (m, s, b) with the nodes of finite cost first, in
-    order, and only as many per spin as are finite anywhere.
-    """
-    usable = np.isfinite(node_cost)
-    width = int(usable.sum(axis=2).max())
-    order = np.argsort(~usable, axis=2, kind="stable")[:, :, :width]
-    packed = np.take_along_axis(q, order[..., None], axis=2)
-    offset, node_cost = (np.take_along_axis(x, order, axis=2) for x in (offset, node_cost))
-    return packed, offset, node_cost
 
 
 def _move_cost(here: Array, there: Array, endless: NDArray[np.bool_]) -> Array:

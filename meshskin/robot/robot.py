@@ -86,13 +86,9 @@ class Robot(Value):
         has that one's. Raises UnknownNameError, ArmError (a joint of another kind).
         """
         up, down = self.tree.chain(base), self.tree.chain(tip)
-        shared = 0
-        for a, b in zip(up, down, strict=False):
-            if a.name != b.name:
-                break
-            shared += 1
+        shared = len({j.name for j in up} & {j.name for j in down})  # in a tree, the first ones
         names: list[str] = []
-        joints: list[ChainJoint] = []
+        moving: list[ChainJoint] = []
         pose = np.eye(4)
         steps = [(j, True) for j in reversed(up[shared:])] + [(j, False) for j in down[shared:]]
         for joint, upward in steps:
@@ -100,10 +96,10 @@ class Robot(Value):
             before, after = (np.eye(4), inverse(origin)) if upward else (origin, np.eye(4))
             pose = pose @ before
             if joint.kind != "fixed":
-                joints.append(self._chain_joint(joint, pose, upward, names))
+                moving.append(self._chain_joint(joint, pose, upward, names))
                 pose = np.eye(4)
             pose = pose @ after
-        return Chain(tuple(names), tuple(joints), pose)
+        return Chain(tuple(names), tuple(moving), pose)
 
     def _chain_joint(
         self, joint: Joint, origin: Array, upward: bool, names: list[str]

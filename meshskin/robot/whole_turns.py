@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array
+from ..core.arrays import Array, Index
 from .arm import Arm
 
 
@@ -39,9 +39,13 @@ def with_whole_turns(arm: Arm, q: Array) -> Array:
     return np.concatenate([q, _packed(turned)], axis=2)
 
 
+def used_first(used: NDArray[np.bool_]) -> Index:
+    """Indices (m, s, w) of the `used` (m, s, b) postures, in order, before the others; w: the most
+    that are used at one spin."""
+    width = int(used.sum(axis=2).max(initial=0))
+    return np.argsort(~used, axis=2, kind="stable")[:, :, :width]
+
+
 def _packed(q: Array) -> Array:
     """`q` (m, s, b, n) with its postures, in order, before the NaN, and no wider than they need."""
-    held = np.isfinite(q[..., 0])
-    width = int(held.sum(axis=2).max(initial=0))
-    order = np.argsort(~held, axis=2, kind="stable")[:, :, :width, None]
-    return np.take_along_axis(q, order, axis=2)
+    return np.take_along_axis(q, used_first(np.isfinite(q[..., 0]))[..., None], axis=2)

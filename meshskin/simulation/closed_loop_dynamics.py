@@ -102,10 +102,10 @@ class ClosedLoopDynamics:
         loop, p = self.loop, self.p
         memory, uv = contact_state[:-2], contact_state[-2:]
         mass, bias = self.model.mass_matrix(q), self.model.bias(q, qdot)
-        tip = self.model.pose(q)
+        tip, jacobian = loop.arm.kinematics(q)
         pose = tip @ ca.DM(loop.mount)
         rotation, position = pose[:3, :3], pose[:3, 3]
-        jacobian = shift_jacobian(self.model.jacobian(q), position - tip[:3, 3])
+        jacobian = shift_jacobian(jacobian, position - tip[:3, 3])
 
         centre = rotation.T @ (ca.DM(loop.indenter_position) - position)
         contact = surface_contact(self.anchor, uv, centre, p, loop.contact, self.newton)

@@ -19,6 +19,7 @@ from ..core.content_cache import cached_by_content
 from ..geometry.surface.patch import POWERS
 from .closed_loop_model import PARAMETERS, REFERENCE, ClosedLoopModel
 from .integrators import step
+from .track import FACE_MARGIN, Track
 
 FLAGS = (*codegen.FLAGS, "-fno-trapping-math", *codegen.fma_flags())
 PATCH, MAP = 3 * len(POWERS), 6
@@ -32,7 +33,10 @@ _INT, _REAL, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 
 class MachineCode:
-    """Compiled steps over surface patches (faces, 21, 3)."""
+    """Compiled steps over surface patches (faces, 21, 3): a rollout, see rollout.py."""
+
+    lengths = (32, 512)
+    """Steps a call; it stops where the run is cut off."""
 
     def __init__(self, library: ctypes.CDLL, step: ca.Function, patches: Array) -> None:
         library.steps.restype = _INT
@@ -40,8 +44,20 @@ class MachineCode:
             _INT, *[_POINTER] * 7, _INT, _POINTER, _REAL, _INT
         ]  # fmt: skip
         self._library, self._patches = library, np.ascontiguousarray(patches)
-        self.sizes = step.size1_in(0), step.size1_out(1)
-        """Lengths of a state and of an output."""
+        sizes = step.size1_in(0), step.size1_out(1)
+        self._states, self._outputs = (np.zeros((self.lengths[1] + 1, k)) for k in sizes)
+
+    def run(
+        self, state: Array, track: Track, parameters: Array, until_touch: bool
+    ) -> tuple[Array, Array]:
+        """States (k + 1, n) and outputs (k, m) along a track; see rollout.py."""
+        states, outputs, count = self._states, self._outputs[: len(track)], len(track)
+        states[0] = state
+        inputs = track.references, track.faces, track.maps, parameters
+        done = self.steps(
+            states[:count], states[1 : count + 1], *inputs, outputs, FACE_MARGIN, until_touch
+        )
+        return states[: done + 1], outputs[:done]
 
     def steps(
         self,

@@ -19,19 +19,14 @@ from ..core.arrays import Array
 from ..geometry.surface.surface import Surface
 from .closed_loop_model import REFERENCE, ClosedLoopModel, flat_anchor
 from .integrators import step
-from .machine_code import MachineCode
-from .track import IDENTITY_MAP, Track, face_margin
+from .machine_code import PATCH, MachineCode
+from .track import FACE_MARGIN, IDENTITY_MAP, Track, face_margin
 
 LENGTHS = (32, 256)
 """Steps a call: short where the run may be cut off, which wastes the rest; long along the path,
 where a call's overhead is spread over more steps."""
-COMPILED_LENGTHS = (32, 512)
-"""Steps a call of machine code, which stops where the run is cut off."""
 CVODES_LENGTHS = (1, 8)
 """Steps a call of CVODES, whose steps take milliseconds each."""
-FACE_MARGIN = 0.25
-"""Largest distance, in barycentric weight, of the foot point outside its face. A patch is a
-polynomial that continues there; beyond, the foot point is searched for on the mesh."""
 
 
 @dataclass(frozen=True)
@@ -91,35 +86,6 @@ class StepBlock:
         )
 
 
-class CompiledRollout:
-    """Steps in machine code."""
-
-    lengths = COMPILED_LENGTHS
-
-    def __init__(self, code: MachineCode) -> None:
-        self._code = code
-        self._states, self._outputs = (np.zeros((self.lengths[1] + 1, k)) for k in code.sizes)
-
-    def run(
-        self, state: Array, track: Track, parameters: Array, until_touch: bool
-    ) -> tuple[Array, Array]:
-        """States (k + 1, n) and outputs (k, m) along a track; see the module."""
-        states, outputs, count = self._states, self._outputs, len(track)
-        states[0] = state
-        done = self._code.steps(
-            states[:count],
-            states[1 : count + 1],
-            track.references,
-            track.faces,
-            track.maps,
-            parameters,
-            outputs[:count],
-            FACE_MARGIN,
-            until_touch,
-        )
-        return states[: done + 1], outputs[:done]
-
-
 class InterpretedRollout:
     """Steps in CasADi's virtual machine, in blocks of the two lengths."""
 
@@ -127,7 +93,6 @@ class InterpretedRollout:
         self.lengths = CVODES_LENGTHS if loop.integrator == "cvodes" else LENGTHS
         self._blocks = [StepBlock(loop, length) for length in self.lengths]
         self._surface, self._force = surface, loop.outputs["force"].start
-        self._patches: dict[int, Array] = {}
 
     def run(
         self, state: Array, track: Track, parameters: Array, until_touch: bool
@@ -145,23 +110,14 @@ class InterpretedRollout:
         return np.concatenate([state[None], states[:count]]), outputs[:count]
 
     def _fill(self, block: StepBlock, track: Track) -> None:
-        """Set a block's references and anchors."""
-        count, faces, anchors = len(track), track.faces, block.anchors
-        patch, face_map = anchors[:, : -len(IDENTITY_MAP)], anchors[:, -len(IDENTITY_MAP) :]
-        block.references[:count], face_map[:count] = track.references, track.maps
-        first = 0
-        for end in [*(np.flatnonzero(np.diff(faces)) + 1).tolist(), count]:
-            patch[first:end] = self._patch(int(faces[first]))
-            first = end
-        # the remaining steps run, too, and are discarded: they get valid inputs
-        block.references[count:] = track.references[-1]
-        patch[count:], face_map[count:] = self._patch(int(faces[-1])), IDENTITY_MAP
-
-    def _patch(self, face: int) -> Array:
-        """Patch of a face (63,), column-major."""
-        if face not in self._patches:
-            self._patches[face] = self._surface.patches[face].T.ravel()
-        return self._patches[face]
+        """Set a block's references and anchors. The steps after the track's run, too, and are
+        discarded: they rest at its last row."""
+        rows = np.minimum(np.arange(block.length), len(track) - 1)
+        patches = self._surface.patches[track.faces[rows]]
+        block.references[:] = track.references[rows]
+        block.anchors[:, :PATCH] = patches.swapaxes(1, 2).reshape(block.length, PATCH)
+        block.anchors[:, PATCH:] = track.maps[rows]
+        block.anchors[len(track) :, PATCH:] = IDENTITY_MAP
 
 
-Rollout = CompiledRollout | InterpretedRollout
+Rollout = MachineCode | InterpretedRollout

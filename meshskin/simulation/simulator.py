@@ -24,8 +24,8 @@ from .closed_loop_model import (
 )
 from .integrators import step
 from .machine_code import machine_code
-from .rollout import FACE_MARGIN, CompiledRollout, InterpretedRollout, Rollout, Steps
-from .track import IDENTITY_MAP, Track, face_maps, face_margin, map_foot
+from .rollout import InterpretedRollout, Rollout, Steps
+from .track import FACE_MARGIN, IDENTITY_MAP, Track, face_maps, face_margin, map_foot
 
 EDGE_WEIGHT = 1e-6
 """Barycentric weight below which a foot point counts as on a side of its face."""
@@ -74,9 +74,7 @@ class Simulator:
         self.body, self.loop = body, loop
         self.function = step(loop)
         code = machine_code(loop, body.surface.patches, compile_, steps)
-        self.rollout: Rollout = (
-            InterpretedRollout(loop, body.surface) if code is None else CompiledRollout(code)
-        )
+        self.rollout: Rollout = code or InterpretedRollout(loop, body.surface)
         self.size = len(start)
         """Length n of a configuration."""
         self.state = np.zeros(self.function.size1_in(0))
@@ -97,13 +95,16 @@ class Simulator:
         state[: self.size], state[-2:] = q, self._first_contact.uv[0]
         anchor = flat_anchor(self.body.surface.patches[int(self._first_contact.face[0])])
         if self.loop.delay:  # at rest, all delayed measurements are the present one
-            reference = np.zeros(REFERENCE)
-            values = self.loop.parameters.values
-            output = self.function(state, reference, anchor, values)[1].full()
+            rows = [self.loop.outputs[k].start for k in ("depth", "force")]
             state[-2 - self.loop.memory : -2] = np.tile(
-                output[[self.loop.outputs[k].start for k in ("depth", "force")], 0], self.loop.delay
+                self.output(state, anchor)[rows], self.loop.delay
             )
         return state, anchor
+
+    def output(self, state: Array, anchor: Array) -> Array:
+        """The output (m,) of the step at a state; see ClosedLoopModel.outputs."""
+        inputs = state, np.zeros(REFERENCE), anchor, self.loop.parameters.values
+        return np.asarray(self.function(*inputs)[1].full()[:, 0])
 
     def reset(self) -> None:
         """Return to the start, at rest."""

@@ -150,7 +150,9 @@ def touch_error(simulator: Simulator, q: Array, reference: Array) -> float:
     depth, speed = reference_depth(loop, simulator.curvature), law.approach_speed
     slow = compliance.touch_speed(law, depth)
     lag = SETTLING_TIMES * (1.0 / law.rate + 1.0 / law.gamma)
-    gap = min(max(_gap(simulator), 0.0), lag * speed)  # higher up the approach is steady
+    start = simulator.output(*simulator.rest_state(simulator.start))
+    gap = max(-float(start[loop.outputs["depth"].start]), 0.0)
+    gap = min(gap, lag * speed)  # higher up the approach is steady
     seconds = gap / speed + math.log(speed / slow) / law.gamma + lag
     state = _lifted_state(simulator, q, depth + gap)
     return estimate_error(simulator, state, reference, round(seconds / loop.dt))
@@ -244,15 +246,6 @@ def _rounded(dt: float) -> float:
     """A step with two digits, at least 5 % shorter than `dt`."""
     digits = 1 - math.floor(math.log10(0.95 * dt))
     return math.floor(0.95 * dt * 10**digits) / 10**digits
-
-
-def _gap(simulator: Simulator) -> float:
-    """Gap between body and indenter at the simulator's start, m."""
-    state, anchor = simulator.rest_state(simulator.start)
-    reference = np.zeros(simulator.function.size1_in(1))
-    values = simulator.loop.parameters.values
-    output = simulator.function(state, reference, anchor, values)[1]
-    return -float(output[simulator.loop.outputs["depth"].start])
 
 
 def _lifted_state(simulator: Simulator, q: Array, lift: float) -> Array:

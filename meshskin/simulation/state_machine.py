@@ -65,8 +65,7 @@ class ExplorationStateMachine:
         no arm."""
         self.forces = forces
         """Reference force (places,), N; None: that of the law."""
-        vertices = simulator.body.surface.vertices
-        self._middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        self._middle = simulator.body.surface.bounds.mean(axis=0)
         self.place, self.row = 0, 0
         self.phase = APPROACH
         self.explored = False

@@ -78,7 +78,10 @@ def press(
     forces = _for_each(
         "forces of presses", scene.law.force_reference if force is None else force, count
     )
-    _check_positive(forces)
+    if not (forces > 0).all():
+        raise RecordingError(
+            "forces of presses must be positive", value=f"{forces.min():g} N", limit="above 0 N"
+        )
     turn = exp_so3(_for_each("spins of presses", spin, count)[:, None] * [0.0, 0.0, 1.0])
     down = shortest_rotation(hit.normal, [0.0, 0.0, -1.0])
     limits = scene.model.exceeded_limits(
@@ -141,14 +144,6 @@ def _for_each(what: str, values: ArrayLike, count: int) -> Array:
     if not np.isfinite(given).all():
         raise RecordingError(f"{what} must be finite", value=given[~np.isfinite(given)][0])
     return np.array(np.broadcast_to(given, count))
-
-
-def _check_positive(forces: Array) -> None:
-    """Raise RecordingError for forces (m,), N, that do not press."""
-    if not (forces > 0).all():
-        raise RecordingError(
-            "forces of presses must be positive", value=f"{forces.min():g} N", limit="above 0 N"
-        )
 
 
 def _check_distance(distance: Array) -> None:

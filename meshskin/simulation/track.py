@@ -16,6 +16,9 @@ from ..core.se3 import transform
 from ..exploration.path import Path, body_twists
 from ..geometry.surface.surface import Surface
 
+FACE_MARGIN = 0.25
+"""Largest distance, in barycentric weight, of the foot point outside its face. A patch is a
+polynomial that continues there; beyond, the foot point is searched for on the mesh."""
 IDENTITY_MAP = np.eye(2, 3).T.ravel()
 """The map, column-major (6,), of a foot point that stays on its face."""
 

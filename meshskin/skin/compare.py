@@ -142,12 +142,12 @@ def compare(a: Skin, b: Skin) -> Difference:
     reshape = reshape_of(at_a[rows_a], at_b[rows_b])
     if reshape is not None:
         left = distances(reshape.pose, at_a[rows_a], at_b[rows_b])
-        permuted = rms(distances(best.pose, at_a[best.rows_a], at_b[best.rows_b]))
+        permuted = rms(best.distances(at_a, at_b))
         if best.moved and own is not None and rms(left) <= permuted:
             best, after = own, distances(own.pose, at_a[rows_a], at_b[rows_b])
         elif best.moved:
             reshape = None
-    off = distances(best.pose, at_a[best.rows_a], at_b[best.rows_b])
+    off = best.distances(at_a, at_b)
     return Difference(
         ids,
         np.setdiff1d(ids_a, ids_b),
@@ -235,9 +235,7 @@ def _as_close(modules: Pairing, taxels: Pairing, at_a: Array, at_b: Array) -> bo
         return True
     if len(modules.rows_a) < len(taxels.rows_a):
         return False
-    one, other = (
-        float(distances(p.pose, at_a[p.rows_a], at_b[p.rows_b]).mean()) for p in (modules, taxels)
-    )
+    one, other = (float(pairs.distances(at_a, at_b).mean()) for pairs in (modules, taxels))
     return one <= other / TAXEL_RATIO + 1e-9
 
 
@@ -252,8 +250,7 @@ def _removes_half(own: Pairing, other: Pairing, ids: Ids, at_a: Array, at_b: Arr
     left = []
     for pairing in (own, other):
         distance = np.full(len(at_a), spacing)
-        a, b = at_a[pairing.rows_a], at_b[pairing.rows_b]
-        distance[pairing.rows_a] = distances(pairing.pose, a, b)
+        distance[pairing.rows_a] = pairing.distances(at_a, at_b)
         left.append(rms(distance[np.union1d(own.rows_a, other.rows_a)]))
     return left[1] <= EXPLAINED * left[0]
 

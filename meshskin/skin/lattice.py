@@ -15,13 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..core.arrays import (
-    Array,
-    Index,
-    far_apart,
-    means_by_group,
-    sums_by_group,
-)
+from ..core.arrays import Array, Index, far_apart, means_by_group, sums_by_group
 from ..core.errors import SkinError
 from ..core.progress import Stage
 from ..core.se3 import orthonormal_basis
@@ -81,6 +75,10 @@ class Lattice:
             np.concatenate([self.tangent, other.tangent]),
             np.concatenate([self.arc_length, other.arc_length]),
         )
+
+    def pairs(self, reach: float) -> tuple[Index, Index]:
+        """The pairs of sites of `facing_pairs`."""
+        return facing_pairs(self.at.point, self.at.normal, reach)
 
     def spacing(self) -> tuple[float, float]:
         """Mean distance of nearest neighbours, m, and its relative standard deviation."""
@@ -216,7 +214,7 @@ def decimate(
 
 def _refine(body: Body, region: regions.Region, coarse: Lattice, spacing: float) -> Lattice:
     """The lattice of a spacing (m) from that of twice the spacing."""
-    one, two = neighbour_pairs(coarse, 2.0 * SPRING_REACH * spacing)
+    one, two = coarse.pairs(2.0 * SPRING_REACH * spacing)
     at = body.closest(0.5 * (coarse.at.point[one] + coarse.at.point[two]), face=coarse.at.face[one])
     tangent = onto(coarse.tangent[one], at.normal)
     arc_length = 0.5 * (coarse.arc_length[one] + coarse.arc_length[two])
@@ -228,16 +226,16 @@ def _refine(body: Body, region: regions.Region, coarse: Lattice, spacing: float)
 
 def _fill_gaps(body: Body, region: regions.Region, sites: Lattice, spacing: float) -> Lattice:
     """The sites, and new ones beside those with fewer than six neighbours, where they fit."""
-    ends = np.concatenate(neighbour_pairs(sites, SPRING_REACH * spacing))
+    ends = np.concatenate(sites.pairs(SPRING_REACH * spacing))
     incomplete = np.flatnonzero(np.bincount(ends, minlength=len(sites)) < 6)
     extra = _propose(body, sites.take(incomplete), sites.at, spacing, GAP * spacing)
     return sites.joined(extra.take(region.contains(body, extra.at)))
 
 
-def neighbour_pairs(sites: Lattice, reach: float) -> tuple[Index, Index]:
-    """Pairs of sites within `reach` (m) of each other and with normals less than 90 deg apart."""
-    one, two = KDTree(sites.at.point).query_pairs(reach, output_type="ndarray").T
-    facing = np.einsum("ij,ij->i", sites.at.normal[one], sites.at.normal[two]) > 0.0
+def facing_pairs(points: Array, normals: Array, reach: float) -> tuple[Index, Index]:
+    """Pairs of points (n, 3) within `reach` (m), with normals (n, 3) less than 90 deg apart."""
+    one, two = KDTree(points).query_pairs(reach, output_type="ndarray").T
+    facing = np.einsum("ij,ij->i", normals[one], normals[two]) > 0.0
     return one[facing], two[facing]
 
 
@@ -270,7 +268,7 @@ def _propose(
 def _relax_springs(body: Body, region: regions.Region, sites: Lattice, spacing: float) -> Lattice:
     """Sites moved under springs of length `spacing` (m) between neighbours, within the region."""
     point, normal = sites.at.point, sites.at.normal
-    one, two = neighbour_pairs(sites, SPRING_REACH * spacing)
+    one, two = sites.pairs(SPRING_REACH * spacing)
     if not len(one):
         return sites
     ends = np.concatenate([one, two])

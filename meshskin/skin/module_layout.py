@@ -20,7 +20,7 @@ from rtree.index import Property
 from scipy.spatial import KDTree
 
 from ..core.arguments import check_integer, check_real
-from ..core.arrays import Array, Index, far_apart, sums_by_group
+from ..core.arrays import Array, Index, far_apart, ranges, sums_by_group
 from ..core.errors import SkinError
 from ..core.provenance import random_stream
 from ..geometry import region as regions
@@ -182,27 +182,18 @@ def pack(body: Body, region: regions.Region, first: lattice.Lattice, spacing: fl
 
 def _triangles(sites: lattice.Lattice, side: float) -> Index:
     """Triples (k, 3) of sites that are neighbours of each other."""
-    one, two = lattice.neighbour_pairs(sites, lattice.SPRING_REACH * side)
-    beside: list[set[int]] = [set() for _ in range(len(sites))]
-    for a, b in zip(one.tolist(), two.tolist(), strict=True):
-        beside[a].add(b)
-        beside[b].add(a)
-    found = [
-        (a, b, c)
-        for a in range(len(sites))
-        for b in sorted(beside[a])
-        for c in sorted(beside[a] & beside[b])
-        if a < b < c
-    ]
-    return np.array(found, dtype=np.intp).reshape(-1, 3)
+    one, two = sites.pairs(lattice.SPRING_REACH * side)
+    order = np.lexsort((two, one))
+    a, b, n = one[order], two[order], len(sites)
+    first, last = (np.searchsorted(a, b, end) for end in ("left", "right"))
+    row, c = np.repeat(np.arange(len(a)), last - first), b[ranges(first, last - first)]
+    closed = np.isin(n * a[row] + c, n * a + b)
+    return np.stack([a[row], b[row], c], axis=1)[closed]
 
 
 def _near(poses: Array, gap: float) -> tuple[Index, Index]:
     """Pairs of modules whose circumcircles are nearer than a gap (m), normals within 90 degrees."""
-    reach = 2.0 * CIRCUMRADIUS + gap
-    one, two = KDTree(poses[:, :3, 3]).query_pairs(reach, output_type="ndarray").T
-    facing = np.einsum("ki,ki->k", poses[one, :3, 2], poses[two, :3, 2]) > 0.0
-    return one[facing], two[facing]
+    return lattice.facing_pairs(poses[:, :3, 3], poses[:, :3, 2], 2.0 * CIRCUMRADIUS + gap)
 
 
 def push(poses: Array, pairs: tuple[Index, Index], gap: float) -> Array:

@@ -46,6 +46,10 @@ class Pairing(Value):
     score: float
     """mean distance of units of A to their partners, or to the nearest unit of B, m"""
 
+    def distances(self, at_a: Array, at_b: Array) -> Array:
+        """(p,) distances of the pairs of taxels after the alignment, m."""
+        return distances(self.pose, at_a[self.rows_a], at_b[self.rows_b])
+
 
 def pair(ids_a: Ids, at_a: Array, ids_b: Ids, at_b: Array, size: int) -> Pairing | None:
     """The best pairing of units of `size` ids; None if the skins have no such units in common."""

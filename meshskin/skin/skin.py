@@ -179,7 +179,7 @@ class Skin(Value, Card, Tabular):
             most = MAX_TAXELS
             count = check_integer("number of taxels", count, least=1, most=most, error=SkinError)
         check_real("disc radius of a taxel", disc_radius, "m", above=0.0, error=SkinError)
-        region = regions.exposed(body, regions.as_region(region))
+        region = regions.exposed(body, region)
         sites = taxel_layout.sites(body, region, spacing, count, disc_radius, seed, progress)
         rotation = se3.orthonormal_basis(sites.at.normal, sites.tangent)
         return cls(se3.transform(rotation, sites.at.point), np.arange(len(sites)), disc_radius)
@@ -201,7 +201,7 @@ class Skin(Value, Card, Tabular):
         Raises SkinError where modules would overlap on a plane, or where too few fit.
         """
         check_type(Body, body, "the body of a skin")
-        region = regions.exposed(body, regions.as_region(region))
+        region = regions.exposed(body, region)
         poses = module_layout.module_poses(body, count, spacing, region, seed)
         return Modules(poses, np.arange(len(poses)), disc_radius)
 

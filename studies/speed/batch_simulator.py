@@ -16,8 +16,9 @@ from meshskin.geometry.body import Body
 from meshskin.simulation.closed_loop_model import ANCHOR, ClosedLoopModel, state_of_pose
 from meshskin.simulation.integrators import step
 from meshskin.simulation.machine_code import PATCH, machine_code
-from meshskin.simulation.rollout import FACE_MARGIN, bind
+from meshskin.simulation.rollout import bind
 from meshskin.simulation.track import (
+    FACE_MARGIN,
     IDENTITY_MAP,
     Track,
     face_maps,

@@ -309,7 +309,7 @@ print(seconds, memory, worst, len(body.mesh.faces))
 @pytest.mark.slow
 def test_a_million_faces(tmp_path):
     """Loads and answers within 2 GB and 10 s of processor time."""
-    vertices, faces = primitives.torus_mesh(0.1, 0.04, 1_000_000)
+    vertices, faces = primitives.Torus(0.1, 0.04).mesh(1_000_000)
     trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "big.ply")
     line = [sys.executable, "-c", BIG, str(tmp_path / "big.ply")]
     done = subprocess.run(line, capture_output=True, text=True, check=True, timeout=200)

@@ -57,7 +57,7 @@ def model(arm):
     """M, bias, pose and Jacobian of the arm's expressions as one function."""
     q, qd = (ca.SX.sym(name, len(arm.joint_names)) for name in ("q", "qd"))
     d = arm.dynamics()
-    outputs = [d.mass_matrix(q), d.bias(q, qd), d.pose(q), d.jacobian(q)]
+    outputs = [d.mass_matrix(q), d.bias(q, qd), *arm.kinematics(q)]
     return ca.Function("model", [q, qd], outputs, {"cse": True})
 
 

@@ -18,7 +18,7 @@ from meshskin.robot.arm import Arm
 from meshskin.scene.file import read_tables
 from meshskin.simulation.closed_loop_model import ClosedLoopModel
 from meshskin.simulation.contact_samplers import closed_loop_sampler, static_sampler
-from meshskin.simulation.rollout import CompiledRollout
+from meshskin.simulation.machine_code import MachineCode
 from meshskin.simulation.simulate import prepare, run
 from meshskin.simulation.stability import inertia
 from meshskin.simulation.state_machine import SLIDE
@@ -207,7 +207,7 @@ def test_compiled_steps_equal_interpreted_ones(walled):
     for choice in ("never", "always"):
         scene = walled.with_(loop=replace(walled.loop, compile=choice))
         simulator, path = prepare(scene)
-        assert isinstance(simulator.rollout, CompiledRollout) == (choice == "always")
+        assert isinstance(simulator.rollout, MachineCode) == (choice == "always")
         rows = []
         for steps in run(scene, simulator, path):
             rows.append(np.hstack([steps.q, steps.outputs]))

@@ -38,8 +38,6 @@ clusters below a half"""
 SHEET_VOLUME = 0.02
 """volume over area^1.5 up to which a mesh with borders is a sheet, which encloses nothing and keeps
 its orientation; that of a ball is 0.094"""
-CHUNK = 1_000_000
-"""solid angles computed at once: bounds the memory, to about 100 MB"""
 
 
 class WindingNumber:
@@ -94,22 +92,16 @@ class WindingNumber:
         return out
 
     def _exact(self, points: Array) -> Array:
-        mesh = np.array([winding_number(self.corners, p) for p in points], dtype=float)
-        return mesh + self._of_extrusion(points)
+        sums = (winding_number(self.corners, p) + self._extruded(p) for p in points)
+        return np.fromiter(sums, dtype=float, count=len(points))
 
-    def _of_extrusion(self, points: Array) -> Array:
-        """The parts (n,) of the winding numbers due to the extruded border."""
-        total = np.zeros(len(points))
-        count = max(1, CHUNK // max(len(self.border), 1))
-        for first in range(0, len(points) if len(self.border) else 0, count):
-            p, d = points[first : first + count, None], self.direction
-            a, b = self.border[:, 1] - p, self.border[:, 0] - p  # against the mesh
-            la, lb = np.linalg.norm(a, axis=2), np.linalg.norm(b, axis=2)
-            top = np.einsum("nkc,kc->nk", np.cross(a, b), d)
-            ad, bd = np.einsum("nkc,kc->nk", a, d), np.einsum("nkc,kc->nk", b, d)
-            below = la * lb + np.einsum("nkc,nkc->nk", a, b) + bd * la + ad * lb
-            total[first : first + count] = np.arctan2(top, below).sum(axis=1) / (2 * np.pi)
-        return total
+    def _extruded(self, point: Array) -> float:
+        """The part of the winding number of a point (3,) due to the extruded border."""
+        d, (a, b) = self.direction, (self.border[:, k] - point for k in (1, 0))  # against the mesh
+        la, lb = np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)
+        top = np.einsum("kc,kc->k", np.cross(a, b), d)
+        ab, ad, bd = (np.einsum("kc,kc->k", x, y) for x, y in ((a, b), (a, d), (b, d)))
+        return float(np.arctan2(top, la * lb + ab + bd * la + ad * lb).sum() / (2 * np.pi))
 
 
 def winding_number(corners: Array, point: Array) -> float:

@@ -113,19 +113,13 @@ class ReferenceFlat:
         May be: no more than `margin` (m) farther than the nearest. Gives row, face, the closest
         points' uv (k, 2) and distances (k,), m.
         """
-        parts = [self._nearby(p, start, margin) for start in range(0, max(len(p), 1), CHUNK)]
-        row, face, uv, distance = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return row, face, uv, distance
-
-    def _nearby(self, p: Array, start: int, margin: float) -> tuple[Index, Index, Array, Array]:
-        q = MM * (p[start : start + CHUNK] - self._middle)
-        if not len(q):
-            none = np.zeros(0, dtype=np.intp)
-            return none, none, np.zeros((0, 2)), np.zeros(0)
-        reach = (1.0 + 1e-9) * self._vertices.query(q)[0][:, None] + MM * margin
-        found, count = self._boxes.intersection_v(q - reach, q + reach)
-        face = found.astype(np.intp)
-        row = start + np.repeat(np.arange(len(q)), count.astype(np.intp))
+        parts = []
+        for start in range(0, max(len(p), 1), CHUNK):
+            q = MM * (p[start : start + CHUNK] - self._middle)
+            reach = (1.0 + 1e-9) * self._vertices.query(q)[0][:, None] + MM * margin
+            found, count = self._boxes.intersection_v(q - reach, q + reach)
+            parts.append((found, np.repeat(start + np.arange(len(q)), count.astype(np.intp))))
+        face, row = (np.concatenate(part).astype(np.intp) for part in zip(*parts, strict=True))
         a, b, c = np.swapaxes(self._corners[face], 0, 1)
         distance2, uv = closest_on_triangles(p[row], a, b - a, c - a)
         return row, face, uv, np.sqrt(distance2)

@@ -25,8 +25,8 @@ class DistanceGrid:
     def __init__(self, surface: Surface, margin: float) -> None:
         """The nodes fill the surface's box, grown by the margin, m."""
         self._surface = surface
-        self._low = surface.vertices.min(axis=0) - margin
-        size = surface.vertices.max(axis=0) + margin - self._low
+        self._low = surface.bounds[0] - margin
+        size = surface.bounds[1] + margin - self._low
         self._step = float(np.prod(size) / NODES) ** (1.0 / 3.0)
         self._shape = np.ceil(size / self._step).astype(int) + 1
         self._closed = surface.closed

@@ -18,18 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import Array, Index, rows_by_key
+from . import heights
 from .fans import Fans, fan_frames
-from .heights import (
-    DEGREE,
-    MAX_RESIDUAL,
-    POWERS,
-    TERMS,
-    decaying,
-    least_squares,
-    plausible,
-    powers,
-    rank_revealing_qr,
-)
 
 PLANE_TOLERANCE = 1e-5
 """largest residual of a ring that is taken as plane, relative to the radius of the ring"""
@@ -65,7 +55,7 @@ class Jets:
     scale: Array
     """(j, 2) extents of the ring in m, by which x and y are divided"""
     coefficients: Array
-    """(j, 14) of x^i y^j in the order of POWERS, in m"""
+    """(j, 14) of x^i y^j in the order of heights.POWERS, in m"""
     degree: NDArray[np.int64]
     """(j,) degree of each fit; 0: the faces stay flat"""
     residual: Array
@@ -100,7 +90,7 @@ def adjacency(faces: Index, count: int) -> Any:
     return csr_array(adjacent + eye_array(count, dtype=np.float32))
 
 
-def fit_jets(vertices: Array, fans: Fans, degree: int = DEGREE) -> Jets:
+def fit_jets(vertices: Array, fans: Fans, degree: int = heights.DEGREE) -> Jets:
     """Jets of at most the given degree (2 to 4) on the 2-ring of every fan.
 
     Where a ring is too small or too regular for the degree, or the fit is implausible, the next
@@ -112,15 +102,15 @@ def fit_jets(vertices: Array, fans: Fans, degree: int = DEGREE) -> Jets:
     adjacent = adjacency(fans.corner, count)
     frame = fan_frames(points, fans)
     jets = Jets(
-        points.copy(), frame, np.ones((count, 2)), np.zeros((count, len(POWERS))),
+        points.copy(), frame, np.ones((count, 2)), np.zeros((count, len(heights.POWERS))),
         np.zeros(count, dtype=np.int64), np.ones(count),
     )  # fmt: skip
     fits = _Fit(jets, np.full((count, 5), np.nan), np.zeros((count, 5)), np.zeros(count))
     rings = adjacent @ adjacent
     _fit_rings(fits, np.arange(count), rings, degree)
-    if degree == DEGREE:
+    if degree == heights.DEGREE:
         _smooth_noise(fits, adjacent, rings, fans.on_crease)
-    small = np.diff(rings.indptr) <= TERMS[degree] + SPARE_POINTS
+    small = np.diff(rings.indptr) <= heights.TERMS[degree] + SPARE_POINTS
     poor = np.flatnonzero((jets.degree == 0) & small)
     if len(poor):  # beside a crease: a wider ring, if the surface is smooth that far
         _fit_rings(fits, poor, rings[poor] @ adjacent, degree)
@@ -138,18 +128,18 @@ def _fit_rings(fits: _Fit, rows: Index, rings: Any, degree: int) -> None:
     jets = fits.jets
     for _, members, ring in _groups(rows, rings):
         local = _local(jets, members, ring)
-        solved, values, rss = least_squares(local, jets.scale[members], degree)
-        if len(ring[0]) <= TERMS[degree] + SPARE_POINTS:
-            solved &= decaying(values)
+        solved, values, rss = heights.least_squares(local, jets.scale[members], degree)
+        if len(ring[0]) <= heights.TERMS[degree] + SPARE_POINTS:
+            solved &= heights.decaying(values)
         done = members[solved]
         fits.rss[done, 2 : degree + 1] = rss[solved]
-        fits.dof[done, 2:] = [max(len(ring[0]) - 1 - TERMS[d], 0) for d in (2, 3, 4)]
+        fits.dof[done, 2:] = [max(len(ring[0]) - 1 - heights.TERMS[d], 0) for d in (2, 3, 4)]
         squares = np.sum(local[solved, 2] ** 2, axis=1)
         fits.floor[done] = ROUNDING * squares
         jets.coefficients[done] = 0.0
         jets.coefficients[done, : values.shape[1]] = values[solved]
         jets.degree[done] = degree
-        if len(ring[0]) - 1 > TERMS[degree]:
+        if len(ring[0]) - 1 > heights.TERMS[degree]:
             jets.residual[done] = np.sqrt(rss[solved, -1] / np.maximum(squares, 1e-300))
 
 
@@ -212,7 +202,7 @@ def _average(
     for group, members, ring in _groups(rows, rings):
         keep = jets.frame[members], jets.scale[members]
         local = _local(jets, members, ring)
-        columns = powers(local[:, 0], local[:, 1], 2)
+        columns = heights.powers(local[:, 0], local[:, 1], 2)
         constant = np.broadcast_to(moving[group][:, None, None], (*columns.shape[:1], 1, 1))
         columns = np.concatenate([columns, constant * np.ones((1, 1, columns.shape[2]))], axis=1)
         normal = columns @ np.swapaxes(columns, 1, 2)
@@ -221,7 +211,7 @@ def _average(
         miss = np.einsum("gck,gc->gk", columns, values) - local[:, 2]
         freedom = ring.shape[1] - 6
         good = np.einsum("gk,gk->g", miss, miss) <= limit[group] * max(freedom, 0)
-        good &= plausible(np.asarray(values[:, :5], dtype=float), jets.scale[members])
+        good &= heights.plausible(np.asarray(values[:, :5], dtype=float), jets.scale[members])
         accepted[group] = good
         jets.frame[members[~good]], jets.scale[members[~good]] = keep[0][~good], keep[1][~good]
         done = members[good]
@@ -244,21 +234,22 @@ def _fit_sparse(fits: _Fit, rows: Index, rings: Any, degree: int) -> None:
         height, scale = local[:, 2], jets.scale[members]
         extent = scale.min(axis=1)
         best = np.full(len(members), np.inf)
-        length, half, triangle, kept = rank_revealing_qr(
-            powers(local[:, 0], local[:, 1], degree), height
+        length, half, triangle, kept = heights.rank_revealing_qr(
+            heights.powers(local[:, 0], local[:, 1], degree), height
         )
         for trial in range(degree, 0, -1):
-            c = TERMS[trial]
+            c = heights.TERMS[trial]
             values = np.linalg.solve(triangle[:, :c, :c], half[:, :c, None])[..., 0] / length[:, :c]
             rss = np.sum(height**2, axis=1) - np.sum(half[:, :c] ** 2, axis=1)
             rss, rank = np.maximum(rss, 0.0), kept[:, :c].sum(axis=1)
             freedom = count - 1 - rank
-            good = plausible(values, scale) & (rss < (MAX_RESIDUAL * extent) ** 2 * count)
+            good = rss < (heights.MAX_RESIDUAL * extent) ** 2 * count
+            good &= heights.plausible(values, scale)
             good &= rss < MAX_UNEXPLAINED * np.sum(height**2, axis=1) + 1e-300
             if trial == 1:
                 good &= rss < (PLANE_TOLERANCE * extent) ** 2 * count
             elif trial > 2:
-                good &= (freedom > 0) | decaying(values)
+                good &= (freedom > 0) | heights.decaying(values)
             variance = rss / np.maximum(freedom, 1)
             best = np.minimum(best, np.where(good, variance, np.inf))
             chosen = good & ((jets.degree[members] == 0) | (variance <= VARIANCE_RATIO * best))

@@ -9,26 +9,18 @@ from __future__ import annotations
 import numpy as np
 
 from ...core import se3
-from .table import (
-    DISC_RADIUS,
-    SkinRows,
-    SkinTable,
-    damaged,
-    frame_mesh,
-    parse_id,
-    parse_numbers,
-)
+from . import table
 
 NUMBERS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 SIGMA = "sigma"
 _COMMENT, _FRAME = "comment disc_radius_m ", "comment frame "
 
 
-def write(skin: SkinRows) -> str:
+def write(skin: table.SkinRows) -> str:
     """Text of the rows, exact to the last bit of positions."""
     import trimesh
 
-    vertices, faces, colours = frame_mesh(skin.disc_radius)
+    vertices, faces, colours = table.frame_mesh(skin.disc_radius)
     n, poses = len(skin.ids), skin.poses
     placed = vertices @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
     mesh = trimesh.Trimesh(
@@ -55,13 +47,13 @@ def write(skin: SkinRows) -> str:
     return "\n".join(lines) + "\n" + body.rstrip("\n") + "\n" + "\n".join(rows) + "\n"
 
 
-def read(text: str, name: str) -> SkinTable:
+def read(text: str, name: str) -> table.SkinTable:
     """The taxels of a file made by `write`. Raises SkinError for any other PLY file."""
     head, _, body = text.partition("end_header")
     lines = head.splitlines()
     if "format ascii 1.0" not in lines or "\nelement taxel " not in head:
         what = f"{name} is a mesh without taxels"
-        raise damaged(what, remedy="give a PLY file made by Skin.save")
+        raise table.damaged(what, remedy="give a PLY file made by Skin.save")
     try:
         count = [int(line.split()[2]) for line in lines if line.startswith("element taxel ")]
         radius = [float(line[len(_COMMENT) :]) for line in lines if line.startswith(_COMMENT)]
@@ -70,15 +62,15 @@ def read(text: str, name: str) -> SkinTable:
         if len(listed) != count[0]:
             raise ValueError(f"{len(listed)} rows in place of {count[0]}")
     except (ValueError, IndexError) as error:
-        raise damaged(f"{name}: cannot read the rows of taxels", error) from error
+        raise table.damaged(f"{name}: cannot read the rows of taxels", error) from error
     known = f"property double {SIGMA}" in lines
     ids, rows = [], []
     for number, (taxel, *fields) in enumerate(listed, start=1):
         where = f"{name}, taxel row {number}"
-        ids.append(parse_id(taxel, where))
-        rows.append(parse_numbers(fields, len(NUMBERS) + known, where))
+        ids.append(table.parse_id(taxel, where))
+        rows.append(table.parse_numbers(fields, len(NUMBERS) + known, where))
     places = np.array(rows)
-    return SkinTable.of_quaternions(
-        "ply", ids, places[:, :7], (radius or [DISC_RADIUS])[0],
+    return table.SkinTable.of_quaternions(
+        "ply", ids, places[:, :7], (radius or [table.DISC_RADIUS])[0],
         places[:, 7] if known else None, next(iter(frame), None),
     )  # fmt: skip

@@ -16,26 +16,16 @@ import re
 import numpy as np
 
 from ...core import se3
-from .table import (
-    DISC_RADIUS,
-    TAXEL_NAME,
-    SkinRows,
-    SkinTable,
-    damaged,
-    parse_id,
-    parse_numbers,
-    parse_sigmas,
-)
+from . import table
 
 HEAD = "transforms:"
 _RADIUS, _SIGMA = "# disc_radius_m: ", " # sigma_m: "
 
 
-def write(rows: SkinRows) -> str:
+def write(rows: table.SkinRows) -> str:
     """Text with one transform a taxel, from the frame `rows.link`; exact to rounding."""
     lines = [_RADIUS + repr(float(rows.disc_radius)), HEAD]
-    each = zip(rows.ids.tolist(), rows.poses, rows.sigma_texts(), strict=True)
-    for taxel, pose, sigma in each:
+    for taxel, pose, sigma in rows.each():
         x, y, z = pose[:3, 3].tolist()
         i, j, k, w = se3.quaternion(pose[:3, :3]).tolist()
         message = {
@@ -50,30 +40,30 @@ def write(rows: SkinRows) -> str:
     return "\n".join(lines) + "\n"
 
 
-def read(text: str, name: str) -> SkinTable:
+def read(text: str, name: str) -> table.SkinTable:
     """The frames of a file as `write` gives it. Raises SkinError."""
-    ids, places, sigmas, radius, frame = [], [], [], DISC_RADIUS, None
+    ids, places, sigmas, radius, frame = [], [], [], table.DISC_RADIUS, None
     for number, line in enumerate(text.splitlines(), start=1):
         where = f"{name}, line {number}"
         if line.startswith(_RADIUS):
-            radius = float(parse_numbers([line.removeprefix(_RADIUS)], 1, where)[0])
+            radius = float(table.parse_numbers([line.removeprefix(_RADIUS)], 1, where)[0])
         if not line.startswith("- "):
             continue
         try:
             text, _, sigma = line[2:].partition(_SIGMA)
             message = json.loads(text)
-            match = re.fullmatch(TAXEL_NAME, message["child_frame_id"])
+            match = re.fullmatch(table.TAXEL_NAME, message["child_frame_id"])
             at, turn = (message["transform"][key] for key in ("translation", "rotation"))
             places.append([*(float(at[k]) for k in "xyz"), *(float(turn[k]) for k in "xyzw")])
             frame = str(message["header"]["frame_id"])
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             limit = "a transform in JSON: header, child_frame_id, transform"
-            raise damaged(where, f"{type(error).__name__}: {error}", limit) from error
+            raise table.damaged(where, f"{type(error).__name__}: {error}", limit) from error
         if match is None:
-            raise damaged(where, message["child_frame_id"], "<part>_skin_<id>")
-        ids.append(parse_id(match[2], where))
+            raise table.damaged(where, message["child_frame_id"], "<part>_skin_<id>")
+        ids.append(table.parse_id(match[2], where))
         sigmas.append(sigma)
     if not ids:
-        raise damaged(f"{name} holds no transforms", limit="lines `- {...}`")
-    known = parse_sigmas(sigmas, name)
-    return SkinTable.of_quaternions("ros", ids, np.array(places), radius, known, frame)
+        raise table.damaged(f"{name} holds no transforms", limit="lines `- {...}`")
+    known = table.parse_sigmas(sigmas, name)
+    return table.SkinTable.of_quaternions("ros", ids, np.array(places), radius, known, frame)

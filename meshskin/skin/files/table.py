@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -198,6 +198,10 @@ class SkinRows:
             return [""] * len(self.ids)
         return [repr(x) if np.isfinite(x) else "" for x in np.asarray(self.sigmas, float).tolist()]
 
+    def each(self) -> Iterator[tuple[int, Array, str]]:
+        """Id, pose (4, 4) and text of the sigma of each taxel."""
+        return zip(self.ids.tolist(), self.poses, self.sigma_texts(), strict=True)
+
 
 def damaged(
     where: str, value: object = None, limit: object = None, remedy: str = "correct it there"
@@ -246,6 +250,11 @@ def parse_numbers(fields: list[str], count: int, where: str, limit: str | None =
 def number_text(values: Array) -> str:
     """Numbers as text that is read back exactly."""
     return " ".join(repr(value) for value in np.asarray(values, dtype=float).tolist())
+
+
+def place_texts(pose: Array) -> dict[str, str]:
+    """The attributes xyz and rpy of a pose (4, 4) in a URDF, read back by `pose_of`."""
+    return {"xyz": number_text(pose[:3, 3]), "rpy": number_text(se3.to_rpy(pose[:3, :3]))}
 
 
 def pose_of(element: ET.Element | None, where: str) -> Array:

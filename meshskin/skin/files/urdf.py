@@ -12,26 +12,14 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from ...core import se3
-from .table import (
-    DISC_RADIUS,
-    SkinRows,
-    SkinTable,
-    chosen_part,
-    damaged,
-    named_parts,
-    number_text,
-    parse_numbers,
-    parse_sigmas,
-    pose_of,
-)
+from . import table
 
 _SIGMA = " sigma_m: "
 THICKNESS = 1e-3
 """Thickness of a disc for viewers, m."""
 
 
-def base(rows: SkinRows) -> ET.Element:
+def base(rows: table.SkinRows) -> ET.Element:
     """A robot with the link `rows.link`, fixed to its parent if it has one."""
     robot = ET.Element("robot", name=f"{rows.link}_skin")
     ET.SubElement(robot, "link", name=rows.link)
@@ -56,50 +44,50 @@ def sigma_of(element: ET.Element) -> str:
     return next((t.removeprefix(_SIGMA).strip() for t in texts if t.startswith(_SIGMA)), "")
 
 
-def write(rows: SkinRows) -> str:
+def write(rows: table.SkinRows) -> str:
     """Text with one link and one fixed joint a taxel on `rows.link`; exact to rounding."""
     robot, part = base(rows), rows.link
-    each = zip(rows.ids.tolist(), rows.poses, rows.sigma_texts(), strict=True)
-    for taxel, pose, sigma in each:
+    for taxel, pose, sigma in rows.each():
         frame = f"{part}_skin_{taxel}"
         link = ET.SubElement(robot, "link", name=frame)
-        shape = ET.SubElement(ET.SubElement(link, "visual"), "geometry")
-        add_disc(shape, rows.disc_radius)
+        add_disc(ET.SubElement(link, "visual"), rows.disc_radius)
         joint = ET.SubElement(robot, "joint", name=f"{frame}_fixed_joint", type="fixed")
-        ET.SubElement(
-            joint, "origin", xyz=number_text(pose[:3, 3]), rpy=number_text(se3.to_rpy(pose[:3, :3]))
-        )
+        ET.SubElement(joint, "origin", table.place_texts(pose))
         ET.SubElement(joint, "parent", link=part)
         ET.SubElement(joint, "child", link=frame)
         add_sigma(joint, sigma)
     return document(robot)
 
 
-def read(robot: ET.Element, name: str, part: str | None = None) -> SkinTable:
+def read(robot: ET.Element, name: str, part: str | None = None) -> table.SkinTable:
     """The frames of one part (None: the only one) in the frame of its link. Raises SkinError."""
-    frames = named_parts(robot.findall("joint[@type='fixed']"), name, "(?:_fixed_joint|_joint)?")
+    frames = table.named_parts(
+        robot.findall("joint[@type='fixed']"), name, "(?:_fixed_joint|_joint)?"
+    )
     if not frames:
-        raise damaged(f"{name} has no skin", limit="fixed joints <part>_skin_<id>")
-    part = chosen_part(part, frames, name)
+        raise table.damaged(f"{name} has no skin", limit="fixed joints <part>_skin_<id>")
+    part = table.chosen_part(part, frames, name)
     ids, joints = zip(*frames[part], strict=True)
-    poses = [pose_of(j.find("origin"), f"{name}: joint {j.get('name')!r}") for j in joints]
+    poses = [table.pose_of(j.find("origin"), f"{name}: joint {j.get('name')!r}") for j in joints]
     links = {link.get("name"): link for link in robot.findall("link")}
     link = links.get(f"{part}_skin_{ids[0]}")
     disc = None if link is None else link.find("visual/geometry/cylinder")
-    sigmas, parent = parse_sigmas([sigma_of(j) for j in joints], name), joints[0].find("parent")
+    sigmas = table.parse_sigmas([sigma_of(j) for j in joints], name)
+    parent, radius = joints[0].find("parent"), radius_of(disc, name)
     frame = None if parent is None else parent.get("link")
-    return SkinTable.of_poses("urdf", ids, np.array(poses), radius_of(disc, name), sigmas, frame)
+    return table.SkinTable.of_poses("urdf", ids, np.array(poses), radius, sigmas, frame)
 
 
 def radius_of(disc: ET.Element | None, where: str) -> float:
     """The radius, m, of a taxel's disc, or the default without one. Raises SkinError."""
     if disc is None:
-        return DISC_RADIUS
-    return float(parse_numbers([disc.get("radius", "")], 1, where)[0])
+        return table.DISC_RADIUS
+    return float(table.parse_numbers([disc.get("radius", "")], 1, where)[0])
 
 
-def add_disc(shape: ET.Element, radius: float) -> None:
-    """Give a geometry the disc of a taxel, for viewers."""
+def add_disc(owner: ET.Element, radius: float) -> None:
+    """Give an element the geometry of a taxel's disc, for viewers."""
+    shape = ET.SubElement(owner, "geometry")
     ET.SubElement(shape, "cylinder", radius=repr(float(radius)), length=repr(THICKNESS))
 
 

@@ -13,19 +13,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from ...core import se3
-from .table import (
-    DISC_RADIUS,
-    SkinRows,
-    SkinTable,
-    check_ids,
-    chosen_part,
-    damaged,
-    number_text,
-    parse_id,
-    parse_sigmas,
-    pose_of,
-)
+from . import table
 from .urdf import add_disc, add_sigma, base, document, radius_of, sigma_of
 
 UPDATE_RATE = 100
@@ -33,23 +21,21 @@ UPDATE_RATE = 100
 examples of urdf_tactile."""
 
 
-def write(rows: SkinRows) -> str:
+def write(rows: table.SkinRows) -> str:
     """Text with one sensor on `rows.link`, its channel named alike; exact to rounding.
 
     Raises SkinError for a negative id: `idx` is an index.
     """
-    check_ids(rows.ids, "urdf_tactile", 0, np.iinfo(np.int64).max)
+    table.check_ids(rows.ids, "urdf_tactile", 0, np.iinfo(np.int64).max)
     robot, part = base(rows), rows.link
     sensor = ET.SubElement(robot, "sensor", name=f"{part}_skin", update_rate=str(UPDATE_RATE))
     ET.SubElement(sensor, "parent", link=part)
     ET.SubElement(sensor, "origin", xyz="0 0 0", rpy="0 0 0")
     tactile = ET.SubElement(sensor, "tactile", channel=part)
-    each = zip(rows.ids.tolist(), rows.poses, rows.sigma_texts(), strict=True)
-    for taxel, pose, sigma in each:
-        place = {"xyz": number_text(pose[:3, 3]), "rpy": number_text(se3.to_rpy(pose[:3, :3]))}
-        element = ET.SubElement(tactile, "taxel", {"idx": str(taxel), **place})
-        shape = ET.SubElement(element, "geometry")
-        add_disc(shape, rows.disc_radius)
+    for taxel, pose, sigma in rows.each():
+        attributes = {"idx": str(taxel), **table.place_texts(pose)}
+        element = ET.SubElement(tactile, "taxel", attributes)
+        add_disc(element, rows.disc_radius)
         add_sigma(element, sigma)
     return document(robot)
 
@@ -64,21 +50,21 @@ def sensors(robot: ET.Element) -> dict[str, ET.Element]:
     return found
 
 
-def read(robot: ET.Element, name: str, part: str | None = None) -> SkinTable:
+def read(robot: ET.Element, name: str, part: str | None = None) -> table.SkinTable:
     """The taxels of one link (None: the only one) in its frame. Raises SkinError."""
     found = sensors(robot)
-    part = chosen_part(part, found, name)
+    part = table.chosen_part(part, found, name)
     sensor = found[part]
-    mount = pose_of(sensor.find("origin"), f"{name}: sensor {sensor.get('name')!r}")
-    ids, poses, sigmas, radius = [], [], [], DISC_RADIUS
+    mount = table.pose_of(sensor.find("origin"), f"{name}: sensor {sensor.get('name')!r}")
+    ids, poses, sigmas, radius = [], [], [], table.DISC_RADIUS
     for taxel in sensor.findall("tactile/taxel"):
         where = f"{name}: taxel {taxel.get('idx')!r}"
-        ids.append(parse_id(taxel.get("idx", ""), where))
+        ids.append(table.parse_id(taxel.get("idx", ""), where))
         if ids[-1] < 0:
-            raise damaged(where, limit="an index, from 0 on")
+            raise table.damaged(where, limit="an index, from 0 on")
         sigmas.append(sigma_of(taxel))
-        poses.append(mount @ pose_of(taxel, where))
+        poses.append(mount @ table.pose_of(taxel, where))
         if (disc := taxel.find("geometry/cylinder")) is not None:
             radius = radius_of(disc, where)
-    known = parse_sigmas(sigmas, name)
-    return SkinTable.of_poses("urdf_tactile", ids, np.array(poses), radius, known, part)
+    known = table.parse_sigmas(sigmas, name)
+    return table.SkinTable.of_poses("urdf_tactile", ids, np.array(poses), radius, known, part)

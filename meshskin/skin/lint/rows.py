@@ -11,15 +11,7 @@ from scipy.spatial import KDTree
 from ...core.arrays import median_spacing, neighbour_distances
 from .. import slots
 from ..files.table import LAST_DIGIT, SkinTable
-from .defect import (
-    Defect,
-    defect,
-    distinct,
-    distinct_rows,
-    has_modules,
-    located,
-    module_rows,
-)
+from .defect import Defect, defect, distinct, distinct_rows, has_modules, located, module_rows
 
 MIN_SPACING, MAX_SPACING = 0.2e-3, 0.1
 """Range of the median distance between nearest neighbours of a skin in metres, m: taxels in mm are
