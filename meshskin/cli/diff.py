@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .options import add_part, check_part, integer, load_skin
+from .options import add_part, check_part, integer, load_skin, option
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,17 +28,12 @@ SHOWN = 20
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("a", type=Path, metavar="A", help="first skin file or calibration")
-    parser.add_argument("b", type=Path, metavar="B", help="second one")
+    option(parser, "a A", "first skin file or calibration", Path)
+    option(parser, "b B", "second one", Path)
     add_part(parser)
-    parser.add_argument("--all", action="store_true", help="print long lists in full")
-    parser.add_argument(
-        "--worst",
-        type=integer(0),
-        default=10,
-        metavar="N",
-        help="number of worst taxels to list (default 10)",
-    )
+    option(parser, "--all", "print long lists in full")
+    worst = "number of worst taxels to list (default 10)"
+    option(parser, "--worst N", worst, integer(0), default=10)
 
 
 def command(options: argparse.Namespace) -> int:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import CalibrationError, ConfigError, GraphError, MeshskinError
 from . import body_options
 from .calibrate import HELD_OUT, row
-from .options import refuse
+from .options import QUIET, option, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("results", type=Path, metavar="FOLDER", help="folder with the results")
-    parser.add_argument("--scene", help="name or file of the scene that was run")
-    parser.add_argument("--recording", type=Path, help="recorded log that was calibrated")
-    parser.add_argument("--body", type=Path, metavar="MESH", help="mesh of the body")
+    option(parser, "results FOLDER", "folder with the results", Path)
+    option(parser, "--scene SCENE", "name or file of the scene that was run")
+    option(parser, "--recording RECORDING", "recorded log that was calibrated", Path)
+    option(parser, "--body MESH", "mesh of the body", Path)
     body_options.add(parser)
-    parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
+    option(parser, "--quiet", QUIET)
 
 
 def command(options: argparse.Namespace) -> int:
