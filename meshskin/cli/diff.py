@@ -19,6 +19,7 @@ from .options import add_part, check_part, integer, load_skin, option
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from ..estimation.calibration import Calibration
     from ..skin.compare import Difference
     from ..skin.skin import Skin
 
@@ -53,14 +54,21 @@ def command(options: argparse.Namespace) -> int:
     return 0 if same(difference) else 1
 
 
+def earlier_map(path: Path, part: str | None) -> Calibration | Skin:
+    """The calibration saved at `path` or in that folder, or the skin `part` of a file."""
+    from ..estimation.calibration import Calibration
+
+    file = saved_calibration(path)
+    return load_skin(path, part) if file is None else Calibration.load(file)
+
+
 def _skin(path: Path, part: str | None) -> Skin:
     """The skin of a file, or the determined taxels of a calibration. Raises SkinError."""
-    from ..estimation.calibration import Calibration
     from ..skin.skin import Skin
 
-    if (file := saved_calibration(path)) is None:
-        return load_skin(path, part)
-    found = Calibration.load(file)
+    found = earlier_map(path, part)
+    if isinstance(found, Skin):
+        return found
     good = np.isfinite(found.positions).all(axis=1)
     return Skin(found.poses[good], found.ids[good])
 

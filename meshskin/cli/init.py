@@ -221,14 +221,9 @@ def _urdf(options: argparse.Namespace) -> list[str]:
     """The keys of a link of a URDF file."""
     if options.link is None or body_options.is_mesh(options.file):
         return []
-    lines = [f"link = {json.dumps(options.link)}"]
-    if options.folder:
-        lines.append(
-            f"folders = {json.dumps([str(folder.resolve()) for folder in options.folder])}"
-        )
-    if options.link_mesh:
-        lines.append(f"link_mesh = {json.dumps(options.link_mesh)}")
-    return lines
+    folders = [str(folder.resolve()) for folder in options.folder or ()]
+    keys = {"link": options.link, "folders": folders, "link_mesh": options.link_mesh}
+    return [f"{key} = {json.dumps(value)}" for key, value in keys.items() if value]
 
 
 def _patches(body: Body) -> list[str]:

@@ -21,16 +21,14 @@ import numpy as np
 
 from ..core.errors import CalibrationError, ConfigError
 from . import belief_options
-from .diff import saved_calibration
-from .options import RESULTS, integer, load_skin, option, real, refuse
+from .diff import earlier_map
+from .options import RESULTS, integer, option, real, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
-    from ..estimation.calibration import Calibration
     from ..estimation.recalibrate.touch_design import TouchDesign
     from ..recording.recording import Recording
     from ..scene.belief import Belief
-    from ..skin.skin import Skin
 
 CHANGED = 1
 """Exit code where a change was found."""
@@ -113,14 +111,6 @@ def _force(options: argparse.Namespace, belief: Belief, recording: Recording | N
     if recording is None:
         raise ConfigError("touches are planned for a force", remedy="give --force-n")
     return float(np.median(recording.force))
-
-
-def earlier_map(path: Path, part: str | None = None) -> Calibration | Skin:
-    """The calibration saved at `path` or in that folder, or the skin `part` of a file."""
-    from ..estimation.calibration import Calibration
-
-    file = saved_calibration(path)
-    return load_skin(path, part) if file is None else Calibration.load(file)
 
 
 def save(design: TouchDesign, path: Path) -> None:

@@ -64,6 +64,7 @@ def command(options: argparse.Namespace) -> int:
     validation = None
     if "cross_validation" in metrics:
         validation = attempt("held out", lambda: CrossValidation.load(folder / HELD_OUT))
+    before = {k: v for k, v in metrics.get("seconds", {}).items() if k != "report"}
     with bar(options.quiet) as progress:
         truth: dict[str, Any] = {}
         if scene is not None and "crlb_mm" in metrics:  # a run, whose true skin is the scene's
@@ -73,18 +74,13 @@ def command(options: argparse.Namespace) -> int:
                 metrics["left_out"] = []  # for lack of time in the run
         found.report(
             folder / "report.html", body=body, recording=recording, metrics=metrics,
-            seconds=_before(metrics), validation=validation, progress=progress, **truth,
+            seconds=before, validation=validation, progress=progress, **truth,
         )  # fmt: skip
     if not options.quiet:
         print(f"{folder / 'report.html'}: written again")
         for line in missing:
             print(row("left out", line))
     return 0
-
-
-def _before(metrics: dict[str, Any]) -> dict[str, float]:
-    """The times of what was done before the page was written for the first time, s."""
-    return {k: v for k, v in metrics.get("seconds", {}).items() if k != "report"}
 
 
 def _metrics(folder: Path) -> dict[str, Any]:
