@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..core.errors import ConfigError
 from . import body_options
-from .options import add_part, check_part, load_skin, real, refuse
+from .options import add_part, check_part, load_skin, option, real, refuse
 
 if TYPE_CHECKING:
     from ..scene.belief import Belief
@@ -47,49 +47,34 @@ LIMITS = {"--poisson": real(least=0.0, most=0.5), "--threshold-kpa": real(least=
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument(
-        "--scene", help="name or file of a scene that gives body, indenter and material"
-    )
+    scene = "name or file of a scene that gives body, indenter and material"
+    option(parser, "--scene SCENE", scene)
     known = parser.add_argument_group("known properties of the robot")
-    known.add_argument(
-        "--body",
-        "--urdf",
-        type=Path,
-        metavar="MESH",
-        help=f"mesh of the body that the skin covers: {body_options.HELP}",
-    )
+    mesh = f"mesh of the body that the skin covers: {body_options.HELP}"
+    option(known, "--body --urdf MESH", mesh, Path)
     body_options.add(known)
     for name, words in NUMBERS.items():
         unit = name.rpartition("-")[2].upper()
-        known.add_argument(name, type=LIMITS.get(name, POSITIVE), metavar=unit, help=words)
-    known.add_argument(
-        "--raw",
-        action="store_true",
-        help="readings are counts or volts of any scale and sign; the response is learned, and "
-        f"--young-kpa only sets its start (default {NOMINAL_YOUNG_KPA:g})",
-    )
-    known.add_argument(
-        "--contact",
-        help="contact model: hertz, elliptic, layered, learned or auto (default: the first that is "
-        "valid, or learned where the readings contradict it)",
-    )
-    known.add_argument(
-        "--taxels", type=Path, metavar="FILE", help="skin file that lists the ids of all taxels"
-    )
-    add_part(known)
-    known.add_argument(
-        "--modules",
-        action="store_true",
-        help="taxels lie on rigid triangular modules, id = 12 module + slot",
-    )
-    known.add_argument(
-        "--unknown", nargs="*", metavar="NAME", help="parameters estimated with the taxels: "
-        "modulus (default), gain, offset, force_scale, force_offset, indenter_offset, body_offset, "
-        "drag, friction, patch_shift",
+        option(known, f"{name} {unit}", words, LIMITS.get(name, POSITIVE))
+    option(
+        known, "--raw", "readings are counts or volts of any scale and sign; the response is "
+        f"learned, and --young-kpa only sets its start (default {NOMINAL_YOUNG_KPA:g})",
     )  # fmt: skip
-    known.add_argument(
-        "--response-groups", nargs="+", metavar="IDS", help="taxels of each further skin or "
-        "amplifier, whose response is learned on its own: 48-95,108-119 (default: looked for)",
+    option(
+        known, "--contact CONTACT", "contact model: hertz, elliptic, layered, learned or auto "
+        "(default: the first that is valid, or learned where the readings contradict it)",
+    )  # fmt: skip
+    option(known, "--taxels FILE", "skin file that lists the ids of all taxels", Path)
+    add_part(known)
+    option(known, "--modules", "taxels lie on rigid triangular modules, id = 12 module + slot")
+    option(
+        known, "--unknown NAME", "parameters estimated with the taxels: modulus (default), gain, "
+        "offset, force_scale, force_offset, indenter_offset, body_offset, drag, friction, "
+        "patch_shift", nargs="*",
+    )  # fmt: skip
+    option(
+        known, "--response-groups IDS", "taxels of each further skin or amplifier, whose response "
+        "is learned on its own: 48-95,108-119 (default: looked for)", nargs="+",
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import ConfigError, MeshError
-from .options import refuse
+from .options import option, refuse
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -23,29 +23,23 @@ HELP = "STL, OBJ, PLY, OFF, glTF, Collada or MuJoCo (.msh) file, or a URDF file 
 
 def add(parser: Any) -> None:
     """Add the options to a parser or a group of one."""
-    parser.add_argument(
-        "--units",
-        help="unit of the mesh: m, cm, mm or in; glTF, Collada and URDF files state theirs, and "
-        "`check` and `init` infer that of other files from the size",
-    )
-    parser.add_argument(
-        "--open", action="store_true", default=None, help="accept an open mesh, with borders"
-    )
-    parser.add_argument(
-        "--link",
-        help="link whose mesh is taken from the URDF file; with a mesh file, `calibrate` exports "
-        "the map in the frame of this link",
-    )
-    parser.add_argument(
-        "--folder",
-        type=Path,
-        action="append",
-        metavar="DIR",
-        help="folder that is searched for the meshes of the URDF file; may be repeated",
-    )
-    parser.add_argument(
-        "--link-mesh", metavar="KIND", help="mesh of the link: visual (default) or collision"
-    )
+    option(
+        parser, "--units UNITS", "unit of the mesh: m, cm, mm or in; glTF, Collada and URDF files "
+        "state theirs, and `check` and `init` infer that of other files from the size",
+    )  # fmt: skip
+    option(parser, "--open", "accept an open mesh, with borders", default=None)
+    option(
+        parser, "--link LINK", "link whose mesh is taken from the URDF file; with a mesh file, "
+        "`calibrate` exports the map in the frame of this link",
+    )  # fmt: skip
+    add_folder(parser)
+    option(parser, "--link-mesh KIND", "mesh of the link: visual (default) or collision")
+
+
+def add_folder(parser: argparse._ActionsContainer) -> None:
+    """Add --folder."""
+    words = "folder that is searched for the meshes of the URDF file; may be repeated"
+    option(parser, "--folder DIR", words, Path, action="append")
 
 
 def triangles(path: Path, options: argparse.Namespace) -> Triangles:

@@ -27,7 +27,7 @@ from . import belief_options, export_options, log_options
 from .belief_options import belief_of
 from .export_options import Export
 from .log_options import CORRECTED, FromLog, from_log
-from .options import in_options, integer, refuse
+from .options import QUIET, RESULTS, in_options, integer, option, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -47,24 +47,19 @@ TOUCHES = 3
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="recorded log, see above")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
-    )
+    option(parser, "recording RECORDING", "recorded log, see above", Path)
+    option(parser, "--out DIR", RESULTS, Path, required=True)
     belief_options.add(parser)
     log_options.add(parser)
-    parser.add_argument(
-        "--method", default="joint", help="estimator: joint (default), posegraph, ..."
-    )
-    parser.add_argument(
-        "--iterations", type=integer(1), metavar="N", help="iteration limit of the joint estimate"
-    )
-    parser.add_argument(
-        "--cross-validate", type=integer(2), metavar="FOLDS", help="split the contacts in "
-        "FOLDS folds, and locate those of each by a skin calibrated on the others",
+    method = "estimator: joint (default), posegraph, ..."
+    option(parser, "--method METHOD", method, default="joint")
+    option(parser, "--iterations N", "iteration limit of the joint estimate", integer(1))
+    option(
+        parser, "--cross-validate FOLDS", "split the contacts in FOLDS folds, and locate those of "
+        "each by a skin calibrated on the others", integer(2),
     )  # fmt: skip
     export_options.add(parser)
-    parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
+    option(parser, "--quiet", QUIET)
 
 
 def command(options: argparse.Namespace) -> int:

@@ -15,7 +15,7 @@ import numpy as np
 from ..core.errors import MeshError, OutputError
 from ..core.progress import Stage
 from . import body_options
-from .options import real, refuse
+from .options import option, real, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -33,32 +33,20 @@ DRAWN = 20_000
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("mesh", type=Path, metavar="MESH", help=body_options.HELP)
+    positive = real(above=0.0)
+    option(parser, "mesh MESH", body_options.HELP, Path)
     body_options.add(parser)
-    parser.add_argument(
-        "--indenter-radius-mm",
-        type=radii,
-        metavar="MM[,MM...]",
-        help="say what indenters of these radii reach of the visible surface, and recommend one "
-        "of several",
-    )
-    parser.add_argument(
-        "--force-n", type=real(above=0.0), help=f"force of these contacts (default {FORCE:g})"
-    )
-    parser.add_argument(
-        "--young-kpa", type=real(above=0.0), help="Young's modulus of the skin (default 200)"
-    )
-    parser.add_argument(
-        "--skin-mm",
-        type=real(above=0.0),
-        help="press the surface of a skin of this thickness, which bridges small features (slower)",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        help="draw the findings (.png, .pdf, .svg or .html)",
-    )
+    option(
+        parser, "--indenter-radius-mm MM[,MM...]", "say what indenters of these radii reach of the "
+        "visible surface, and recommend one of several", radii,
+    )  # fmt: skip
+    option(parser, "--force-n FORCE_N", f"force of these contacts (default {FORCE:g})", positive)
+    option(parser, "--young-kpa YOUNG_KPA", "Young's modulus of the skin (default 200)", positive)
+    option(
+        parser, "--skin-mm SKIN_MM", "press the surface of a skin of this thickness, which bridges "
+        "small features (slower)", positive,
+    )  # fmt: skip
+    option(parser, "--out FILE", "draw the findings (.png, .pdf, .svg or .html)", Path)
 
 
 def command(options: argparse.Namespace) -> int:

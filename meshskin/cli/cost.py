@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .options import integer
+from .options import integer, option
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -15,28 +15,14 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("scene", metavar="SCENE", help="name of a shipped scene, or a TOML file")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("out"),
-        metavar="DIR",
-        help="folder for page and figure",
-    )
-    parser.add_argument("--seeds", type=integer(1), help="seeds per setting (default 1)")
-    parser.add_argument(
-        "--knobs",
-        nargs="+",
-        default=None,
-        metavar="KNOB",
-        help="subset of faces, degree, contact, dt, integrator, lanes, rate, method, tolerance",
-    )
-    parser.add_argument(
-        "--full",
-        action="store_true",
-        help="3 seeds where --seeds is not given, and a reference that is twice as fine",
-    )
-    parser.add_argument("--quiet", action="store_true", help="print no progress bar and no table")
+    option(parser, "scene SCENE", "name of a shipped scene, or a TOML file")
+    option(parser, "--out DIR", "folder for page and figure", Path, default=Path("out"))
+    option(parser, "--seeds SEEDS", "seeds per setting (default 1)", integer(1))
+    knobs = "subset of faces, degree, contact, dt, integrator, lanes, rate, method, tolerance"
+    option(parser, "--knobs KNOB", knobs, nargs="+")
+    full = "3 seeds where --seeds is not given, and a reference that is twice as fine"
+    option(parser, "--full", full)
+    option(parser, "--quiet", "print no progress bar and no table")
 
 
 def command(options: argparse.Namespace) -> int:

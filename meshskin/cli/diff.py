@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .options import add_part, check_part, integer, load_skin
+from .options import add_part, check_part, integer, load_skin, option
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from ..estimation.calibration import Calibration
     from ..skin.compare import Difference
     from ..skin.skin import Skin
 
@@ -28,17 +29,12 @@ SHOWN = 20
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("a", type=Path, metavar="A", help="first skin file or calibration")
-    parser.add_argument("b", type=Path, metavar="B", help="second one")
+    option(parser, "a A", "first skin file or calibration", Path)
+    option(parser, "b B", "second one", Path)
     add_part(parser)
-    parser.add_argument("--all", action="store_true", help="print long lists in full")
-    parser.add_argument(
-        "--worst",
-        type=integer(0),
-        default=10,
-        metavar="N",
-        help="number of worst taxels to list (default 10)",
-    )
+    option(parser, "--all", "print long lists in full")
+    worst = "number of worst taxels to list (default 10)"
+    option(parser, "--worst N", worst, integer(0), default=10)
 
 
 def command(options: argparse.Namespace) -> int:
@@ -58,14 +54,21 @@ def command(options: argparse.Namespace) -> int:
     return 0 if same(difference) else 1
 
 
+def earlier_map(path: Path, part: str | None) -> Calibration | Skin:
+    """The calibration saved at `path` or in that folder, or the skin `part` of a file."""
+    from ..estimation.calibration import Calibration
+
+    file = saved_calibration(path)
+    return load_skin(path, part) if file is None else Calibration.load(file)
+
+
 def _skin(path: Path, part: str | None) -> Skin:
     """The skin of a file, or the determined taxels of a calibration. Raises SkinError."""
-    from ..estimation.calibration import Calibration
     from ..skin.skin import Skin
 
-    if (file := saved_calibration(path)) is None:
-        return load_skin(path, part)
-    found = Calibration.load(file)
+    found = earlier_map(path, part)
+    if isinstance(found, Skin):
+        return found
     good = np.isfinite(found.positions).all(axis=1)
     return Skin(found.poses[good], found.ids[good])
 

@@ -12,13 +12,15 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from .options import option
+
 if TYPE_CHECKING:
     from ..effects import Effect
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("name", nargs="?", metavar="NAME", help="effect to describe")
+    option(parser, "name NAME", "effect to describe", nargs="?")
 
 
 def command(options: argparse.Namespace) -> int:

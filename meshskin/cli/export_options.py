@@ -12,7 +12,7 @@ import numpy as np
 from ..core.errors import ConfigError
 from ..core.se3 import from_rpy, transform
 from . import body_options
-from .options import real, refuse
+from .options import option, real, refuse
 
 if TYPE_CHECKING:
     from ..core.arrays import Array
@@ -25,23 +25,19 @@ SUFFIXES = {"icub": "txt", "urdf_tactile": "urdf", "mjcf": "xml"}
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     export = parser.add_argument_group("the exported skin map")
-    export.add_argument(
-        "--export", type=Path, metavar="FILE", help="write the skin map to FILE, by suffix: .txt "
-        "(iCub), .csv, .urdf, .xml (MuJoCo), .npz, .yaml (ROS), .ply or .glb; a format alone, as "
-        "urdf, writes skin.urdf in the folder of --out; the map is in the frame of the body: that "
-        "of --link of a URDF, or else of the mesh",
+    option(
+        export, "--export FILE", "write the skin map to FILE, by suffix: .txt (iCub), .csv, .urdf, "
+        ".xml (MuJoCo), .npz, .yaml (ROS), .ply or .glb; a format alone, as urdf, writes skin.urdf "
+        "in the folder of --out; the map is in the frame of the body: that of --link of a URDF, or "
+        "else of the mesh", Path,
     )  # fmt: skip
-    export.add_argument(
-        "--export-format", metavar="FORMAT", help="format of --export: urdf_tactile"
-    )
-    export.add_argument(
-        "--transform", type=real(), nargs=6, metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),
-        help="pose (m, rad) of the mesh in the frame of --link, as the origin of a visual in a "
-        "URDF: the map is written in that frame",
+    option(export, "--export-format FORMAT", "format of --export: urdf_tactile")
+    option(
+        export, "--transform X Y Z ROLL PITCH YAW", "pose (m, rad) of the mesh in the frame of "
+        "--link, as the origin of a visual in a URDF: the map is written in that frame", real(),
+        nargs=6,
     )  # fmt: skip
-    export.add_argument(
-        "--parent", metavar="LINK", help="URDF: a link to which the link of the map is fixed"
-    )
+    option(export, "--parent LINK", "URDF: a link to which the link of the map is fixed")
 
 
 @dataclass(frozen=True)

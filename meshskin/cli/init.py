@@ -19,7 +19,7 @@ import numpy as np
 
 from ..core.errors import ConfigError, MeshError, SkinError
 from . import body_options
-from .options import refuse
+from .options import option, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -41,10 +41,10 @@ RADII = (10e-3, 5e-3, 2.5e-3)
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("file", type=Path, metavar="FILE", help="mesh, URDF file or log")
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="file to write (default: NAME.toml, named after "
-        "the mesh or log, in this folder); an existing one is not replaced",
+    option(parser, "file FILE", "mesh, URDF file or log", Path)
+    option(
+        parser, "--out FILE", "file to write (default: NAME.toml, named after the mesh or log, in "
+        "this folder); an existing one is not replaced", Path,
     )  # fmt: skip
     body_options.add(parser)
 
@@ -221,14 +221,9 @@ def _urdf(options: argparse.Namespace) -> list[str]:
     """The keys of a link of a URDF file."""
     if options.link is None or body_options.is_mesh(options.file):
         return []
-    lines = [f"link = {json.dumps(options.link)}"]
-    if options.folder:
-        lines.append(
-            f"folders = {json.dumps([str(folder.resolve()) for folder in options.folder])}"
-        )
-    if options.link_mesh:
-        lines.append(f"link_mesh = {json.dumps(options.link_mesh)}")
-    return lines
+    folders = [str(folder.resolve()) for folder in options.folder or ()]
+    keys = {"link": options.link, "folders": folders, "link_mesh": options.link_mesh}
+    return [f"{key} = {json.dumps(value)}" for key, value in keys.items() if value]
 
 
 def _patches(body: Body) -> list[str]:

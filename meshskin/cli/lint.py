@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .options import add_part
+from .options import add_part, option
 
 if TYPE_CHECKING:
     from ..skin.lint import Defect
@@ -21,9 +21,9 @@ SHOWN = 12
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("file", type=Path, metavar="FILE", help="skin file in any supported format")
+    option(parser, "file FILE", "skin file in any supported format", Path)
     add_part(parser)
-    parser.add_argument("--all", action="store_true", help="print long lists in full")
+    option(parser, "--all", "print long lists in full")
 
 
 def command(options: argparse.Namespace) -> int:

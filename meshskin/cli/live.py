@@ -27,7 +27,7 @@ from ..core.errors import MeshskinError
 from . import belief_options, log_options
 from .calibrate import recorded
 from .log_options import FromLog, from_log
-from .options import integer, real
+from .options import integer, option, real
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ LOOK = 0.2
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("recording", type=Path, metavar="LOG", help="recorded log, see above")
+    option(parser, "recording LOG", "recorded log, see above", Path)
     add_page(parser.add_argument_group("the page"))
     belief_options.add(parser)
     log_options.add(parser)
@@ -62,19 +62,18 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def add_page(group: argparse._ArgumentGroup) -> None:
     """Add the options of the page."""
-    group.add_argument(
-        "--speed", type=real(above=0.0), metavar="X", help="speed relative to real time (default 1)"
-    )
-    group.add_argument(
-        "--target-mm", type=real(above=0.0), metavar="MM", help="standard deviation of a "
-        'taxel\'s position at which the verdict is "done" (default 0.1)',
+    positive = real(above=0.0)
+    option(group, "--speed X", "speed relative to real time (default 1)", positive)
+    option(
+        group, "--target-mm MM", "standard deviation of a taxel's position at which the verdict is "
+        '"done" (default 0.1)', positive,
     )  # fmt: skip
-    group.add_argument(
-        "--host", help=f"address that the page is served at (default {HOST}: to this "
+    option(
+        group, "--host HOST", f"address that the page is served at (default {HOST}: to this "
         "machine only; there is no password)",
     )  # fmt: skip
-    group.add_argument("--port", type=integer(0), help=f"port (default {PORT}; 0: any free one)")
-    group.add_argument("--no-browser", action="store_true", help="open no browser")
+    option(group, "--port PORT", f"port (default {PORT}; 0: any free one)", integer(0))
+    option(group, "--no-browser", "open no browser")
 
 
 def command(options: argparse.Namespace) -> int:

@@ -14,7 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .options import refuse
+from . import body_options
+from .options import option, refuse
 
 if TYPE_CHECKING:
     from ..recording.log_map import LogMap, StreamMap
@@ -28,41 +29,26 @@ SHOWN_GAPS = 3
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("log", type=Path, metavar="FILE", help="log, a file or a folder")
-    parser.add_argument("--map", type=Path, metavar="MAP", help="map of the log (TOML)")
-    parser.add_argument(
-        "--write-map", type=Path, metavar="FILE", help="write a first map, to be edited, to FILE"
-    )
-    parser.add_argument(
-        "--messages",
-        type=Path,
-        nargs="*",
-        default=[],
-        metavar="MSG",
-        help=".msg files of message types that the bag does not define",
-    )
+    option(parser, "log FILE", "log, a file or a folder", Path)
+    option(parser, "--map MAP", "map of the log (TOML)", Path)
+    option(parser, "--write-map FILE", "write a first map, to be edited, to FILE", Path)
+    messages = ".msg files of message types that the bag does not define"
+    option(parser, "--messages MSG", messages, Path, nargs="*", default=[])
     add_scan(parser)
-    parser.add_argument(
-        "--urdf", type=Path, metavar="FILE", help="robot of the log, with whose joints those of "
-        "the log are compared",
-    )  # fmt: skip
-    parser.add_argument("--link", help="link with the skin, whose joints and mesh are checked")
-    parser.add_argument(
-        "--folder", type=Path, action="append", metavar="DIR", help="folder that is searched for "
-        "the meshes of the URDF file; may be repeated",
-    )  # fmt: skip
-    parser.add_argument(
-        "--out", type=Path, metavar="RECORDING", help="write contacts and readings as a recording; "
-        "the map must name contact points and forces",
+    urdf = "robot of the log, with whose joints those of the log are compared"
+    option(parser, "--urdf FILE", urdf, Path)
+    option(parser, "--link LINK", "link with the skin, whose joints and mesh are checked")
+    body_options.add_folder(parser)
+    option(
+        parser, "--out RECORDING", "write contacts and readings as a recording; the map must name "
+        "contact points and forces", Path,
     )  # fmt: skip
 
 
 def add_scan(parser: argparse._ActionsContainer) -> None:
     """Add the option of bags without an index."""
-    parser.add_argument(
-        "--scan", action="store_true", help="read a ROS 1 bag that was never closed, and so has no "
-        "index, record by record",
-    )  # fmt: skip
+    words = "read a ROS 1 bag that was never closed, and so has no index, record by record"
+    option(parser, "--scan", words)
 
 
 def command(options: argparse.Namespace) -> int:

@@ -16,7 +16,7 @@ from ..core.errors import ConfigError
 from . import body_options
 from .belief_options import belief_of
 from .log import add_scan, summary
-from .options import real, refuse
+from .options import option, real, refuse
 
 if TYPE_CHECKING:
     from ..core.progress import Progress
@@ -40,23 +40,19 @@ def add(parser: argparse.ArgumentParser) -> None:
     log = parser.add_argument_group(
         "a robot's log, as RECORDING: a bag, MCAP file, dumper folder, CSV or Parquet"
     )
-    log.add_argument(
-        "--map", type=Path, metavar="MAP", help="which stream of the log is what "
-        "(`meshskin log FILE --write-map MAP`)",
-    )  # fmt: skip
+    map_ = "which stream of the log is what (`meshskin log FILE --write-map MAP`)"
+    option(log, "--map MAP", map_, Path)
     add_scan(log)
-    log.add_argument(
-        "--indenter-mm", type=real(), nargs=3, metavar=("X", "Y", "Z"), help="centre of the "
-        "indenter; contacts then follow from the joint angles of the robot of --urdf and --link",
+    option(
+        log, "--indenter-mm X Y Z", "centre of the indenter; contacts then follow from the joint "
+        "angles of the robot of --urdf and --link", real(), nargs=3,
     )  # fmt: skip
-    log.add_argument(
-        "--carrier", metavar="LINK", help="link in whose frame the indenter is at rest (default: "
-        "the root of the URDF)",
-    )  # fmt: skip
-    log.add_argument(
-        "--robot-unknown", nargs="*", metavar="NAME", help="what is estimated of the robot: "
-        "joint_offset, joint_delay, indenter_position, clock_offset (default: these four), mount, "
-        "indenter_radius, mesh_scale",
+    carrier = "link in whose frame the indenter is at rest (default: the root of the URDF)"
+    option(log, "--carrier LINK", carrier)
+    option(
+        log, "--robot-unknown NAME", "what is estimated of the robot: joint_offset, joint_delay, "
+        "indenter_position, clock_offset (default: these four), mount, indenter_radius, mesh_scale",
+        nargs="*",
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import argparse
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..core.arguments import check_real
 from ..core.errors import ConfigError
@@ -21,6 +21,8 @@ OPTIONS = {
     "from_urdf folders=": "--folder",
 }
 """Words of messages on arguments in Python, and those for the command line."""
+RESULTS = "folder for the results"
+QUIET = "print no progress bar and no summary"
 
 
 def in_options(text: str) -> str:
@@ -32,6 +34,28 @@ def in_options(text: str) -> str:
     return re.sub(
         r"unknown=\(([^)]*)\)", lambda m: " ".join(["--unknown", *names.findall(m[1])]), text
     )
+
+
+def option(
+    parser: argparse._ActionsContainer,
+    names: str,
+    words: str,
+    type: Callable[[str], object] | None = None,
+    **more: Any,
+) -> None:
+    """Add an option or an argument.
+
+    names: its names, and those of its values in the help: "--out DIR", "scene SCENE"; an option
+    without values is a switch.
+    """
+    first, *rest = names.split()
+    flags = [first, *(name for name in rest if name.startswith("-"))]
+    values = tuple(rest[len(flags) - 1 :])
+    if values:
+        more |= {"type": type, "metavar": values[0] if len(values) == 1 else values}
+    else:
+        more["action"] = "store_true"
+    parser.add_argument(*flags, help=words, **more)
 
 
 def real(
@@ -83,7 +107,7 @@ def refuse(
 
 def add_part(parser: argparse._ActionsContainer) -> None:
     """Add --part."""
-    parser.add_argument("--part", help="skin to read from a URDF or MJCF file with several")
+    option(parser, "--part PART", "skin to read from a URDF or MJCF file with several")
 
 
 def check_part(part: str | None, *paths: Path | None) -> None:

@@ -21,16 +21,14 @@ import numpy as np
 
 from ..core.errors import CalibrationError, ConfigError
 from . import belief_options
-from .diff import saved_calibration
-from .options import integer, load_skin, real, refuse
+from .diff import earlier_map
+from .options import RESULTS, integer, option, real, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
-    from ..estimation.calibration import Calibration
     from ..estimation.recalibrate.touch_design import TouchDesign
     from ..recording.recording import Recording
     from ..scene.belief import Belief
-    from ..skin.skin import Skin
 
 CHANGED = 1
 """Exit code where a change was found."""
@@ -38,29 +36,24 @@ CHANGED = 1
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("previous", type=Path, metavar="PREVIOUS", help="earlier map")
-    parser.add_argument(
-        "recording", type=Path, nargs="?", metavar="RECORDING", help="recorded log of the touches"
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
-    )
-    parser.add_argument(
-        "--touches", type=integer(1), default=20, metavar="K", help="touches to plan (default 20)"
-    )
-    parser.add_argument(
-        "--force-n", type=real(above=0.0), metavar="N", help="force of the planned touches "
-        "(default: that of --scene, or the median of RECORDING)",
+    positive = real(above=0.0)
+    option(parser, "previous PREVIOUS", "earlier map", Path)
+    option(parser, "recording RECORDING", "recorded log of the touches", Path, nargs="?")
+    option(parser, "--out DIR", RESULTS, Path, required=True)
+    option(parser, "--touches K", "touches to plan (default 20)", integer(1), default=20)
+    option(
+        parser, "--force-n N", "force of the planned touches (default: that of --scene, or the "
+        "median of RECORDING)", positive,
     )  # fmt: skip
-    parser.add_argument(
-        "--false-alarm", type=real(above=0.0, most=0.5), metavar="P", help="probability, at most, "
-        "that any change is found where there is none (default 0.01)",
+    option(
+        parser, "--false-alarm P", "probability, at most, that any change is found where there is "
+        "none (default 0.01)", real(above=0.0, most=0.5),
     )  # fmt: skip
-    parser.add_argument(
-        "--map-sigma-mm", type=real(above=0.0), metavar="MM", help="standard deviation of the "
-        "taxels' places in a map that states none (default 0.3)",
+    option(
+        parser, "--map-sigma-mm MM", "standard deviation of the taxels' places in a map that "
+        "states none (default 0.3)", positive,
     )  # fmt: skip
-    parser.add_argument("--all", action="store_true", help="print long lists in full")
+    option(parser, "--all", "print long lists in full")
     belief_options.add(parser)
 
 
@@ -118,14 +111,6 @@ def _force(options: argparse.Namespace, belief: Belief, recording: Recording | N
     if recording is None:
         raise ConfigError("touches are planned for a force", remedy="give --force-n")
     return float(np.median(recording.force))
-
-
-def earlier_map(path: Path, part: str | None = None) -> Calibration | Skin:
-    """The calibration saved at `path` or in that folder, or the skin `part` of a file."""
-    from ..estimation.calibration import Calibration
-
-    file = saved_calibration(path)
-    return load_skin(path, part) if file is None else Calibration.load(file)
 
 
 def save(design: TouchDesign, path: Path) -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import CalibrationError, ConfigError, GraphError, MeshskinError
 from . import body_options
 from .calibrate import HELD_OUT, row
-from .options import refuse
+from .options import QUIET, option, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("results", type=Path, metavar="FOLDER", help="folder with the results")
-    parser.add_argument("--scene", help="name or file of the scene that was run")
-    parser.add_argument("--recording", type=Path, help="recorded log that was calibrated")
-    parser.add_argument("--body", type=Path, metavar="MESH", help="mesh of the body")
+    option(parser, "results FOLDER", "folder with the results", Path)
+    option(parser, "--scene SCENE", "name or file of the scene that was run")
+    option(parser, "--recording RECORDING", "recorded log that was calibrated", Path)
+    option(parser, "--body MESH", "mesh of the body", Path)
     body_options.add(parser)
-    parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
+    option(parser, "--quiet", QUIET)
 
 
 def command(options: argparse.Namespace) -> int:
@@ -64,6 +64,7 @@ def command(options: argparse.Namespace) -> int:
     validation = None
     if "cross_validation" in metrics:
         validation = attempt("held out", lambda: CrossValidation.load(folder / HELD_OUT))
+    before = {k: v for k, v in metrics.get("seconds", {}).items() if k != "report"}
     with bar(options.quiet) as progress:
         truth: dict[str, Any] = {}
         if scene is not None and "crlb_mm" in metrics:  # a run, whose true skin is the scene's
@@ -73,18 +74,13 @@ def command(options: argparse.Namespace) -> int:
                 metrics["left_out"] = []  # for lack of time in the run
         found.report(
             folder / "report.html", body=body, recording=recording, metrics=metrics,
-            seconds=_before(metrics), validation=validation, progress=progress, **truth,
+            seconds=before, validation=validation, progress=progress, **truth,
         )  # fmt: skip
     if not options.quiet:
         print(f"{folder / 'report.html'}: written again")
         for line in missing:
             print(row("left out", line))
     return 0
-
-
-def _before(metrics: dict[str, Any]) -> dict[str, float]:
-    """The times of what was done before the page was written for the first time, s."""
-    return {k: v for k, v in metrics.get("seconds", {}).items() if k != "report"}
 
 
 def _metrics(folder: Path) -> dict[str, Any]:

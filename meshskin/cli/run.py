@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import live
 from .calibrate import response_lines, row
-from .options import in_options, integer, real, refuse
+from .options import QUIET, RESULTS, in_options, integer, option, real, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -26,28 +26,20 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument(
-        "scene", metavar="SCENE", help="name of a shipped scene (meshskin scenes) or a TOML file"
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
-    )
-    parser.add_argument(
-        "--seed", type=integer(0), default=0, help="seed of all random streams (default 0)"
-    )
+    option(parser, "scene SCENE", "name of a shipped scene (meshskin scenes) or a TOML file")
+    option(parser, "--out DIR", RESULTS, Path, required=True)
+    option(parser, "--seed SEED", "seed of all random streams (default 0)", integer(0), default=0)
     request = parser.add_mutually_exclusive_group()
-    for name, metavar, words in (
-        ("--accuracy-mm", "MM", "choose the fastest settings that reach this mean error"),
-        ("--seconds", "S", "choose the most accurate settings that take at most this time"),
-        ("--budget-mm", "MM", "leave out effects that move the taxels by less than this"),
+    for names, words in (
+        ("--accuracy-mm MM", "choose the fastest settings that reach this mean error"),
+        ("--seconds S", "choose the most accurate settings that take at most this time"),
+        ("--budget-mm MM", "leave out effects that move the taxels by less than this"),
     ):
-        request.add_argument(name, type=real(above=0.0), metavar=metavar, help=words)
-    parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
+        option(request, names, words, real(above=0.0))
+    option(parser, "--quiet", QUIET)
     page = parser.add_argument_group("a page in the browser")
-    page.add_argument(
-        "--live", action="store_true", help="show the exploration as it is calibrated online; the "
-        "results follow when the replay is over",
-    )  # fmt: skip
+    words = "show the exploration as it is calibrated online; the results follow when the replay "
+    option(page, "--live", words + "is over")
     live.add_page(page)
 
 

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import argparse
 
+from .options import option
+
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("--show", metavar="NAME", help="print the file of this scene")
+    option(parser, "--show NAME", "print the file of this scene")
 
 
 def command(options: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .options import integer
+from .options import QUIET, RESULTS, integer, option
 from .progress_bar import bar
 
 if TYPE_CHECKING:
@@ -25,19 +25,13 @@ SHOWN = 5
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("file", type=Path, metavar="FILE", help="study file (TOML)")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
-    )
+    option(parser, "file FILE", "study file (TOML)", Path)
+    option(parser, "--out DIR", RESULTS, Path, required=True)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--workers", type=integer(1), metavar="N", help="processes (default: every core)"
-    )
-    where.add_argument(
-        "--scheduler", metavar="URL", help="address of a Dask scheduler, tcp://host:port"
-    )
-    parser.add_argument("--retry", action="store_true", help="run failed cases again")
-    parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
+    option(where, "--workers N", "processes (default: every core)", integer(1))
+    option(where, "--scheduler URL", "address of a Dask scheduler, tcp://host:port")
+    option(parser, "--retry", "run failed cases again")
+    option(parser, "--quiet", QUIET)
 
 
 def command(options: argparse.Namespace) -> int:

@@ -68,11 +68,8 @@ def contact_force(
             remedy="leave one out",
         )  # fmt: skip
     stream, given = wrenches[0]
-    times = stream.times - (given.delay or 0.0)
-    measured = np.stack(
-        [np.interp(frames, times, given.factor * values) for values in stream.values[:, :3].T],
-        axis=1,
-    )
+    forces = given.factor * stream.values[:, :3]
+    measured = np.stack([np.interp(frames, stream.times, part) for part in forces.T], axis=1)
     rest, level = _rest_level(frames, measured, in_contact, stream.name)
     force, left = measured - level, _typical(measured - level, rest)
     notes = []
@@ -194,13 +191,10 @@ def _fitted(up: Array, force: Array) -> tuple[Array, float, Array]:
     return map_, middle, weight
 
 
-def force_at_rest(
-    frames: Array, in_contact: NDArray[np.bool_], stream: Stream, given: StreamMap
-) -> list[str]:
+def force_at_rest(frames: Array, in_contact: NDArray[np.bool_], stream: Stream) -> list[str]:
     """The note on contacts whose force is not zero where no taxel answers, if it is not."""
-    times = stream.times - (given.delay or 0.0)
-    row = nearest_rows(frames, times)
-    within = (times >= frames[0]) & (times <= frames[-1])
+    row = nearest_rows(frames, stream.times)
+    within = (stream.times >= frames[0]) & (stream.times <= frames[-1])
     force = stream.values[within & ~in_contact[row], stream.fields.index("force")]
     force = force[np.isfinite(force)]
     if len(force) < max(MIN_REST * len(stream), 1):

@@ -28,7 +28,7 @@ def parse(path: str) -> list[tuple[str, str]]:
     """The steps of a path: a field name and what its brackets hold, "", "[]", "2", "2::3" or
     "key=text". Raises ConfigError for a path that is not one."""
     steps = []
-    for part in _split(path):
+    for part in re.split(r"\.(?![^\[]*\])", path):  # at dots that are not in brackets
         match = _STEP.fullmatch(part)
         if match is None or ("[" in part) != part.endswith("]"):
             raise ConfigError(
@@ -41,11 +41,6 @@ def parse(path: str) -> list[tuple[str, str]]:
         inside = inside.removesuffix("]")
         steps.append((name, inside if inside or "[" not in part else "[]"))
     return steps
-
-
-def _split(path: str) -> list[str]:
-    """The parts of a path between dots that are not in brackets."""
-    return re.split(r"\.(?![^\[]*\])", path)
 
 
 def getter(path: str) -> Getter:

@@ -14,7 +14,7 @@ from .contact_force import REST_SIGMAS
 from .log_map import BODY, CONTACT, LogMap, Pairs, StreamMap
 from .readers.yarp import SKIN_CONTACTS
 from .recording import CONTACT_SCHEMA, FROM_TAXELS, QUATERNION, UNCOMPARED, Recording
-from .resample import LogFrames, paired, with_skin_late
+from .resample import LogFrames, on_clock, paired
 from .skin_log import SkinLog
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
 from .tare import thresholds
@@ -35,7 +35,7 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
     RecordingError for a log without a frame in contact that has both.
     """
     given = frames.skin_log
-    pairs = with_skin_late(paired(log, log_map), given.clock_offset)
+    pairs = on_clock(paired(log, log_map), given.clock_offset)
     points, normals, force, rotation = _contact_points(pairs, given.time)
     force = given.force if given.force is not None else force
     if force is None:
@@ -161,7 +161,7 @@ def _of_contacts(
 ) -> tuple[Array, Array, Array | None]:
     """Point, normal and force of the contact nearest to each time, within half a frame; NaN where
     there is none, or more than one."""
-    times = stream.times - (given.delay or 0.0)
+    times = stream.times
     half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     first, last = np.searchsorted(times, time - half), np.searchsorted(times, time + half)
     columns = {name: k for k, name in enumerate(stream.fields)}
@@ -202,7 +202,7 @@ def _pose_at(stream: Stream, given: StreamMap, time: Array) -> tuple[Array, Any]
     from scipy.spatial.transform import Rotation, Slerp
 
     known = np.append(True, np.diff(stream.times) > 0)
-    times, values = stream.times[known] - (given.delay or 0.0), stream.values[known].astype(float)
+    times, values = stream.times[known], stream.values[known].astype(float)
     norm = np.linalg.norm(values[:, 3:], axis=1)
     if not np.all(np.abs(norm - 1) < 1e-3):
         row = int(np.argmax(~(np.abs(norm - 1) < 1e-3)))
@@ -214,8 +214,7 @@ def _pose_at(stream: Stream, given: StreamMap, time: Array) -> tuple[Array, Any]
         )
     inside = (time >= times[0]) & (time <= times[-1])
     for gap in stream.gaps:
-        late = given.delay or 0.0
-        inside &= (time <= gap.start - late) | (time >= gap.end - late)
+        inside &= (time <= gap.start) | (time >= gap.end)
     at = np.full((len(time), 3), np.nan)
     for k in range(3):
         at[inside, k] = given.factor * np.interp(time[inside], times, values[:, k])

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..core.arrays import Array
 from ..core.errors import RecordingError, UnknownNameError
 from ..robot.robot import SLIDING, Robot
 from .log_map import Pairs, StreamMap
@@ -56,7 +55,9 @@ def _beyond(stream: Stream, given: StreamMap, robot: Robot) -> Iterator[str]:
     values = stream.values * given.factors(stream.fields)
     for name, angles in zip(stream.fields, values.T, strict=True):
         joint = joints.get(name)
-        if joint is None or not {"lower", "upper"} <= set(joint.limits) or not _known(angles):
+        if joint is None or not {"lower", "upper"} <= set(joint.limits):
+            continue
+        if not np.isfinite(angles).any():
             continue
         low, high = joint.limits["lower"], joint.limits["upper"]
         least, most = float(np.nanmin(angles)), float(np.nanmax(angles))
@@ -74,7 +75,3 @@ def _beyond(stream: Stream, given: StreamMap, robot: Robot) -> Iterator[str]:
                 remedy='write unit = "deg" in the map, or correct names',
             )  # fmt: skip
         yield f"joint {name} goes from {value}, its limits in {robot.path.name} are {limit}"
-
-
-def _known(angles: Array) -> bool:
-    return bool(np.isfinite(angles).any())

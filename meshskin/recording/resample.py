@@ -70,22 +70,22 @@ def log_frames(log: Log, log_map: LogMap, robot: Robot | None = None) -> LogFram
     compared = usable or given.delay is not None or all(_of_skin(s, m) for s, m in pairs)
     if not compared:
         notes.append(_unknown_clock(pairs))
-    pairs = with_skin_late(pairs, late)
+    pairs = on_clock(pairs, late)
     skins = [pair for pair in pairs if pair[1].kind == TAXELS]
-    frames = first.times - late
+    frames = skins[0][0].times
     frames = frames[_kept(frames, pairs)]
     readings = np.empty((len(frames), len(ids)), dtype=np.float32)
     ends = np.cumsum([len(s.fields) for s, _ in skins])
     for (s, m), part in zip(skins, np.split(readings, ends[:-1], axis=1), strict=True):
         _interpolate(part, frames, s, m, tared[s.name])
-    pressed = [tared[s.name].in_contact[nearest_rows(_on_clock(s, m), frames)] for s, m in skins]
+    pressed = [tared[s.name].in_contact[nearest_rows(s.times, frames)] for s, _ in skins]
     in_contact = np.any(pressed, axis=0)
     names, angles = _joints(frames, pairs)
     wrenches = [pair for pair in pairs if pair[1].kind == WRENCH]
     force, said = contact_force(frames, in_contact, wrenches, robot, names, angles)
     for stream, given in pairs if force is None else ():
         if given.kind == CONTACTS and "force" in stream.fields:
-            said += force_at_rest(frames, in_contact, stream, given)
+            said += force_at_rest(frames, in_contact, stream)
     notes += said
     noise = np.concatenate([tared[s.name].noise * m.factor for s, m in skins])
     skin_log = SkinLog(
@@ -122,11 +122,15 @@ def _unknown_clock(pairs: Pairs) -> str:
     )
 
 
-def with_skin_late(pairs: Pairs, late: float) -> Pairs:
-    """The streams with the delay `late`, s, of those on the clock of the skin that have none."""
-    return [
-        (s, replace(m, delay=late) if m.delay is None and _of_skin(s, m) else m) for s, m in pairs
-    ]
+def on_clock(pairs: Pairs, late: float) -> Pairs:
+    """The streams on the clock of the robot, without their delays: `late`, s, of those on the clock
+    of the skin that have none."""
+    out = []
+    for stream, given in pairs:
+        usual = late if _of_skin(stream, given) else 0.0
+        delay = usual if given.delay is None else given.delay
+        out.append((replace(stream, times=stream.times - delay), replace(given, delay=0.0)))
+    return out
 
 
 def _of_skin(stream: Stream, given: StreamMap) -> bool:
@@ -167,11 +171,6 @@ def _ids(skins: Pairs) -> NDArray[np.intp]:
     return np.array([int(name) for stream, _ in skins for name in stream.fields])
 
 
-def _on_clock(stream: Stream, given: StreamMap) -> Array:
-    """Times of a stream on the clock of the robot."""
-    return stream.times - (given.delay or 0.0)
-
-
 def _kept(times: Array, pairs: Pairs) -> NDArray[np.bool_]:
     """Frames that lie within all streams, and in no gap of joints and forces.
 
@@ -179,12 +178,10 @@ def _kept(times: Array, pairs: Pairs) -> NDArray[np.bool_]:
     """
     kept = np.append(True, np.diff(times) > 0)  # a message that was recorded twice
     for stream, given in pairs:
-        on_clock = _on_clock(stream, given)
         if given.kind in (JOINTS, WRENCH, TAXELS):
-            kept &= (times >= on_clock[0]) & (times <= on_clock[-1])
+            kept &= (times >= stream.times[0]) & (times <= stream.times[-1])
         for gap in stream.gaps if given.kind in (JOINTS, WRENCH) else ():
-            late = given.delay or 0.0
-            kept &= (times <= gap.start - late) | (times >= gap.end - late)
+            kept &= (times <= gap.start) | (times >= gap.end)
     if not kept.any():
         raise RecordingError(
             "no frame of the skin lies within the other streams of the log",
@@ -204,7 +201,7 @@ def _interpolate(
 
     A few taxels at a time, so that memory stays near that of the readings.
     """
-    times = _on_clock(stream, given)
+    times = stream.times
     rows = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
     step = times[rows] - times[rows - 1]
     share = np.divide(frames - times[rows - 1], step, where=step > 0, out=np.zeros_like(frames))
@@ -215,9 +212,8 @@ def _interpolate(
         between = (1 - share) * part[rows - 1] + share * part[rows]
         between[exact] = part[rows[exact]]  # NaN of the frame before does not matter
         out[:, k : k + COLUMNS] = given.factor * between
-    late = stream.times[0] - times[0]
     for gap in stream.gaps:
-        out[(frames > gap.start - late) & (frames < gap.end - late)] = np.nan
+        out[(frames > gap.start) & (frames < gap.end)] = np.nan
 
 
 def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
@@ -228,7 +224,6 @@ def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
     for stream, given in pairs:
         if given.kind != JOINTS:
             continue
-        times = _on_clock(stream, given)
         every = (stream.values * given.factors(stream.fields)).T
         for name, values in zip(stream.fields, every, strict=True):
             if name in names:
@@ -238,7 +233,7 @@ def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
                     remedy="give other names in the map, or leave a stream out",
                 )
             names.append(name)
-            columns.append(_joint(frames, times, values))
+            columns.append(_joint(frames, stream.times, values))
     angles = np.stack(columns, axis=1) if columns else np.empty((len(frames), 0))
     return tuple(names), angles
 

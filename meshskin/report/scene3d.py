@@ -234,16 +234,10 @@ def _residuals(data: ReportData) -> dict[str, Any]:
         f"taxel {k}<br>residuals {significant(float(x))} times the median taxel's"
         for k, x in zip(np.asarray(data.calibration.ids)[good], r[good], strict=True)
     ]
-    scale = {
-        "colorscale": "Cividis",
-        "cmin": 0.0,
-        "cmax": maps.residual_scale(r),
-        "showscale": True,
-    }
     bar = {"title": {"text": "residual"}, "thickness": 12, "len": 0.6}
     marks = _markers(
-        "residuals", data.display_positions[good], texts,
-        size=7, color=_packed(r[good]), colorbar=bar, **scale,
+        "residuals", data.display_positions[good], texts, size=7, color=_packed(r[good]),
+        colorscale="Cividis", cmin=0.0, cmax=maps.residual_scale(r), showscale=True, colorbar=bar,
     )  # fmt: skip
     return {**marks, "visible": "legendonly"}
 
@@ -259,10 +253,7 @@ def _texts(ids: Array, positions: Array, truth: Array | None, cov: Array) -> lis
 
 def layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
     """Axes around everything, and a camera that looks at the skin from outside."""
-    extent = finite_rows(extent)
-    low, high = (extent.min(axis=0), extent.max(axis=0)) if len(extent) else np.zeros((2, 3))
-    pad = 0.03 * float(np.max(high - low)) or 0.01
-    low, high = low - pad, high + pad
+    low, high = _bounds(extent)
     size = float(np.max(high - low))
     plane = tangent_plane(skin, normals)
     radius = np.linalg.norm(finite_rows(skin) - plane.origin, axis=1).max(initial=0.05 * size)
@@ -282,6 +273,12 @@ def layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
     around = plane.origin + float(radius) * np.concatenate([np.eye(3), -np.eye(3)])
     corners = np.stack(np.meshgrid(*np.stack([low, high]).T), axis=-1).reshape(-1, 3)
     cameras = {"whole body": camera(middle, corners), "skin": camera(plane.origin, around)}
+    menu = {"type": "buttons", "direction": "left", "x": 0.0, "y": 1.0, "xanchor": "left",
+            "yanchor": "bottom", "showactive": False, "pad": {"b": 4}}  # fmt: skip
+    menu["buttons"] = [
+        {"label": name, "method": "relayout", "args": [{"scene.camera": seen}]}
+        for name, seen in cameras.items()
+    ]
     return {
         "scene": {
             **_axes(low, high, direction),
@@ -291,10 +288,18 @@ def layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
         },
         "margin": {"l": 0, "r": 0, "t": 36, "b": 0},
         "legend": {"orientation": "h", "x": 0.0, "y": 0.0, "yanchor": "top"},
-        "updatemenus": [_buttons(cameras)],
+        "updatemenus": [menu],
         "font": {"family": "system-ui, sans-serif", "size": 12, "color": theme.INK},
         "paper_bgcolor": "#ffffff",
     }
+
+
+def _bounds(extent: Array) -> tuple[Array, Array]:
+    """The least and the largest coordinates (3,), m, of points (n, 3), with a margin."""
+    extent = finite_rows(extent)
+    low, high = (extent.min(axis=0), extent.max(axis=0)) if len(extent) else np.zeros((2, 3))
+    pad = 0.03 * float(np.max(high - low)) or 0.01
+    return low - pad, high + pad
 
 
 def _vector(values: Array) -> dict[str, float]:
@@ -316,24 +321,6 @@ def _axes(low: Array, high: Array, direction: Array) -> dict[str, Any]:
             "nticks": ticks[k],
         }
         for k, (axis, _) in enumerate(_COLOURS)
-    }
-
-
-def _buttons(cameras: dict[str, Any]) -> dict[str, Any]:
-    """A button for each camera."""
-    return {
-        "type": "buttons",
-        "direction": "left",
-        "x": 0.0,
-        "y": 1.0,
-        "xanchor": "left",
-        "yanchor": "bottom",
-        "showactive": False,
-        "pad": {"b": 4},
-        "buttons": [
-            {"label": name, "method": "relayout", "args": [{"scene.camera": camera}]}
-            for name, camera in cameras.items()
-        ],
     }
 
 

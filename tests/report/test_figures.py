@@ -12,6 +12,7 @@ import matplotlib
 import numpy as np
 import pyarrow as pa
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from meshskin.core.errors import OutputError
@@ -61,6 +62,26 @@ def test_save_writes_png_and_svg(tmp_path: Path) -> None:
     assert png.read_bytes().startswith(b"\x89PNG")
     assert "<svg" in svg.read_text()
     assert sorted(p.name for p in (tmp_path / "figures").iterdir()) == ["force.png", "force.svg"]
+
+
+def test_the_raster_has_all_that_the_svg_has_in_its_place(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    figure = theme.new_figure(4.0, 3.0)
+    axes = theme.add_axes(figure, 0.6, 0.5, 2.2, 2.2)
+    many = rng.random((2, 600))
+    axes.plot(*many, ".", rasterized=True)
+    axes.plot([-1.0, 2.0], [0.0, 1.0], lw=3, label="clipped")
+    axes.plot([0.2, 0.8], [0.8, 0.2], "s", ms=20)
+    dots = axes.scatter(*rng.random((2, 9)), c=np.arange(9.0))
+    theme.color_bar(figure, dots, axes, "numbers")
+    axes.set(xlim=(0, 1), ylim=(0, 1), title="everything")
+    axes.legend()
+    alone = FigureCanvasAgg(figure)
+    alone.draw()
+    expected = np.asarray(alone.buffer_rgba())[..., :3].astype(float)
+    drawn = np.asarray(Image.open(theme.save(figure, tmp_path, "all")[0])).astype(float)
+    assert drawn.shape == expected.shape
+    assert np.mean(np.abs(drawn - expected)) < 0.8  # letters are hinted to other pixels
 
 
 def test_save_names_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
@@ -114,8 +135,8 @@ def test_panels_of_a_figure_are_files_of_their_own(tmp_path: Path) -> None:
     figure = theme.new_figure(6.0, 2.0)
     for k in range(3):
         theme.add_axes(figure, 0.5 + 2.0 * k, 0.5, 1.2, 1.2).set_title(f"panel {k}")
-    whole = Image.open(theme.save(figure, tmp_path, "whole")[0])
-    paths = theme.save_panels(figure, tmp_path, ["a", "b", "c"])
+    png, _, *paths = theme.save(figure, tmp_path, "whole", ["a", "b", "c"])
+    whole = Image.open(png)
     assert [p.name for p in paths] == ["a.png", "a.svg", "b.png", "b.svg", "c.png", "c.svg"]
     panels = [np.asarray(Image.open(p)) for p in paths[::2]]
     np.testing.assert_array_equal(np.hstack(panels), np.asarray(whole))

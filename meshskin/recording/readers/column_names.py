@@ -73,7 +73,8 @@ def groups(names: Sequence[str]) -> dict[str, list[str]]:
     numbered: dict[str, list[str]] = {}
     for name in names:
         if name and name not in known and not is_time(name):
-            base, end = _base(name)
+            base, _ = split_unit(name)
+            end = name.strip()[len(base) :]
             numbered.setdefault(re.sub(r"\d+(?=\]?$)", "*", base) + end, []).append(name)
     for group, columns in numbered.items():
         if kind := _joint_group(columns):
@@ -81,12 +82,6 @@ def groups(names: Sequence[str]) -> dict[str, list[str]]:
         else:
             found[group] = columns
     return found
-
-
-def _base(name: str) -> tuple[str, str]:
-    """A name without its unit, and what was left out."""
-    base, _ = split_unit(name)
-    return base, name.strip()[len(base) :]
 
 
 def wrench_columns(names: Sequence[str]) -> list[str]:

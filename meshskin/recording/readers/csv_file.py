@@ -14,7 +14,6 @@ import mmap
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -138,9 +137,8 @@ class _SingleSpaces:
         return text
 
 
-@lru_cache(maxsize=64)
-def _opened(path: Path, size: int, changed: int) -> CsvFile:
-    """The file as it was at that size and time of change, ns."""
+def opened(path: Path) -> CsvFile:
+    """How a CSV file is written. Raises RecordingError for what has no header of two names."""
     with path.open("rb") as stream:
         head = stream.read(HEAD)
     encoding = _encoding(head)
@@ -156,12 +154,6 @@ def _opened(path: Path, size: int, changed: int) -> CsvFile:
         )  # fmt: skip
     point = _decimal_point(path, head, encoding, delimiter)
     return CsvFile(path, encoding, tuple(names), delimiter, before, point)
-
-
-def opened(path: Path) -> CsvFile:
-    """How a CSV file is written. Raises RecordingError for what has no header of two names."""
-    status = path.stat()
-    return _opened(path, status.st_size, status.st_mtime_ns)
 
 
 def _no_table(path: Path, head: bytes) -> RecordingError:

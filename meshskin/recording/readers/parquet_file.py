@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import pyarrow as pa
@@ -90,9 +89,8 @@ def _flat(name: str, column: pa.Array, file: Path) -> Iterator[tuple[str, pa.Arr
         yield name, column.dictionary_decode() if pa.types.is_dictionary(kind) else column
 
 
-@lru_cache(maxsize=64)
-def _opened(path: Path, size: int, changed: int) -> ParquetFile:
-    """The file as it was at that size and time of change, ns."""
+def opened(path: Path) -> ParquetFile:
+    """The columns of a Parquet file. Raises RecordingError for one that is torn."""
     import pyarrow.parquet as pq
 
     try:
@@ -114,9 +112,3 @@ def _opened(path: Path, size: int, changed: int) -> ParquetFile:
             for name, _ in _flat(column, first.column(column), path)
         }
     return ParquetFile(path, sources, timed[0] if timed else "")
-
-
-def opened(path: Path) -> ParquetFile:
-    """The columns of a Parquet file. Raises RecordingError for one that is torn."""
-    status = path.stat()
-    return _opened(path, status.st_size, status.st_mtime_ns)

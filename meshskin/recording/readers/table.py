@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import fnmatch
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -110,6 +111,13 @@ def _choose(
 
 def _opened(file: Path) -> CsvFile | ParquetFile:
     """How the file is written. Raises RecordingError for what is no table."""
+    status = file.stat()
+    return _opened_at(file, status.st_size, status.st_mtime_ns)
+
+
+@lru_cache(maxsize=64)
+def _opened_at(file: Path, size: int, changed: int) -> CsvFile | ParquetFile:
+    """The file as it was at that size and time of change, ns."""
     with file.open("rb") as stream:
         parquet = stream.read(4) == parquet_file.MAGIC
     return parquet_file.opened(file) if parquet else csv_file.opened(file)

@@ -112,7 +112,7 @@ def read(
     failed: list[OtherContentError] = []
     wanted = None if log_map is None else [stream.topic for stream in log_map.streams]
     for port in ports(folder):
-        if wanted is not None and not any(_belongs(topic, port) for topic in wanted):
+        if wanted is not None and not any(f"{t}/".startswith(f"{port.name}/") for t in wanted):
             continue
         try:
             streams += _streams(port, notes, progress)
@@ -134,10 +134,6 @@ def read(
             raise UnknownNameError("port", topic, known, f" in {path.name}")
     mapped = tuple(_mapped(by_name[one.topic], one) for one in log_map.streams)
     return Log(path, mapped, tuple(notes)), {}
-
-
-def _belongs(topic: str, port: Port) -> bool:
-    return topic == port.name or topic.startswith(f"{port.name}/")
 
 
 def _mapped(stream: Stream, given: StreamMap) -> Stream:
@@ -266,13 +262,13 @@ def _parsed(text: str) -> list[Any]:
     for token in _TOKEN.findall(text):
         if token == "(":
             stack.append([])
-        elif token == ")":
-            if len(stack) < 2:
-                raise ValueError("parentheses do not match")
+        elif token != ")":
+            stack[-1].append(float(token))
+        elif len(stack) > 1:
             done = stack.pop()
             stack[-1].append(done)
         else:
-            stack[-1].append(float(token))
+            raise ValueError("parentheses do not match")
     if len(stack) != 1:
         raise ValueError("parentheses do not match")
     return stack[0]

@@ -15,7 +15,7 @@ from ...exploration.plan import plan_exploration
 from ...scene.scene import Scene
 from .first_run import FirstRun, first_run
 from .pilot import pilot
-from .request import Pilot, Prediction, Request
+from .request import Pilot, Request
 
 PUNCTUAL = 0.85
 """Part of the seconds asked for that a prediction may use: the load of the machine varies."""
@@ -107,17 +107,11 @@ def _best(scene: Scene, measured: Pilot, first: FirstRun, request: Request) -> C
         except ReachError as error:
             reason = error
             continue
-        record = _record(measured, prediction, request)
+        readings = measured.readings * measured.growth(prediction.setting)
+        words = prediction.setting.words(measured.base)
+        record: dict[str, Any] = {"asked": request.words, "setting": words}
+        record |= {name: getattr(prediction, name) for name in PREDICTED}
+        record["readings"] = round(readings)
         return Choice(chosen, path, prediction.setting.tolerance, first, record, measured)
     assert reason is not None
     raise reason
-
-
-def _record(measured: Pilot, prediction: Prediction, request: Request) -> dict[str, Any]:
-    readings = measured.readings * measured.growth(prediction.setting)
-    return {
-        "asked": request.words,
-        "setting": prediction.setting.words(measured.base),
-        **{name: getattr(prediction, name) for name in PREDICTED},
-        "readings": round(readings),
-    }

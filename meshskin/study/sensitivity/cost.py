@@ -205,7 +205,11 @@ def pilot_of(rows: Sequence[Row]) -> Pilot:
     )
     steps = dict(zip(names, each_step, strict=True))
     loops = [
-        Level(_values(r, LOOP), r.numerical_mm, along=steps[r.setting.integrator] * r.steps)
+        Level(
+            {k: getattr(r.setting, k) for k in LOOP},
+            r.numerical_mm,
+            along=steps[r.setting.integrator] * r.steps,
+        )
         for r in good
         if r is own or r.knob in LOOP
     ]
@@ -243,10 +247,6 @@ def _prices(totals: Sequence[float], counts: Sequence[tuple[float, ...]]) -> lis
     return [float(x) for x in nnls(relative, np.ones(len(terms)))[0] / scale]
 
 
-def _values(row: Row, fields: tuple[str, ...]) -> dict[str, Any]:
-    return {field: getattr(row.setting, field) for field in fields}
-
-
 def _level(row: Row, own: Row, fields: tuple[str, ...]) -> Level:
     """The row as a level, with the errors that it adds to those of the scene's own row."""
 
@@ -254,7 +254,7 @@ def _level(row: Row, own: Row, fields: tuple[str, ...]) -> Level:
         return math.sqrt(max(getattr(row, part) ** 2 - getattr(own, part) ** 2, 0.0))
 
     return Level(
-        _values(row, fields),
+        {field: getattr(row.setting, field) for field in fields},
         added("numerical_mm"),
         added("error_mm") if row.knob == "method" else 0.0,
         once=row.seconds["load"],

@@ -87,9 +87,11 @@ def pilot(
     systematic = _systematic(small, found, seed)
     count = sum(len(part.time) for part in first.steps)
     building = BUILD_SHARE * preparing
+    lanes, widest = (base.lane_spacing * factor for factor in LANES), coarse.lane_spacing
+    spacings = dict.fromkeys((*(x for x in lanes if x < widest * (1 + 1e-9)), widest))
     measured = Pilot(
         base, coarse, count, len(recording.time), len(recording.pressure), bound, systematic,
-        _lane_spacings(base, coarse.lane_spacing), tuple(base.rate * r for r in RATES),
+        tuple(spacings), tuple(base.rate * r for r in RATES),
         (worthwhile(tolerance_levels(recording, belief)),),
         fixed=building + REPORT_SECONDS,
         each_step=(preparing - building + looping) / count,
@@ -111,13 +113,6 @@ def pilot(
     )
     stage.end()
     return replace(measured, spent=deadline.spent)
-
-
-def _lane_spacings(base: Setting, widest: float) -> tuple[float, ...]:
-    """The spacings of LANES up to the widest, m."""
-    spacings = [base.lane_spacing * factor for factor in LANES]
-    kept = [x for x in spacings if x < widest * (1 + 1e-9)]
-    return tuple(dict.fromkeys((*kept, widest)))
 
 
 def _with_levels(measured: Pilot, scene: Scene, request: Request) -> Pilot:

@@ -144,10 +144,13 @@ class Replay:
         A taxel belongs to a half if every contact of the whole exploration that reaches it is in
         that half and replayed, so that it has all its readings there.
         """
+        from scipy.spatial import cKDTree
+
         scene = self.scene
         reach = float(max(scene.patch.semi_axes)) + scene.skin.disc_radius
         positions = np.asarray(scene.skin.positions)
-        ready = np.flatnonzero(_far(positions, self.path[self.replayed :], reach))
+        later = cKDTree(self.path[self.replayed :])
+        ready = np.flatnonzero(later.query(positions)[0] > reach)
         ready = ready if len(ready) else np.arange(len(positions))
         origin = positions[ready].mean(axis=0)
         normal = np.linalg.svd(positions[ready] - origin)[2][0]
@@ -156,15 +159,6 @@ class Replay:
         if min(map(len, cut)) < FEWEST_TAXELS:
             return Halves(origin, normal, (ready, ready), False)
         return Halves(origin, normal, cut, True)
-
-
-def _far(positions: Array, path: Array, reach: float) -> np.ndarray:
-    """Which positions (n, 3) are farther than `reach`, m, from all points of a path (k, 3)."""
-    from scipy.spatial import cKDTree
-
-    if not len(path):
-        return np.ones(len(positions), dtype=bool)
-    return np.asarray(cKDTree(path).query(positions)[0] > reach)
 
 
 def without_common_noise(everything: Scene, chosen: Scene) -> tuple[Scene, Scene]:

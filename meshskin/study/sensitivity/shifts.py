@@ -157,8 +157,8 @@ def tolerance_knob(shifts: EffectShifts, contacts: float) -> Knob:
         found = calibrate(recording, shifts.belief, tolerance=tolerance)
         iterations = 1 if found.iterates is None else len(found.iterates)
         seconds = SECONDS["reading"] * readings * iterations
-        level = Level({"tolerance": tolerance}, reading=seconds, label=f"{tolerance:g}")
-        levels.append(replace(level, shift=found.positions[rows]))
+        words, shift = f"{tolerance:g}", found.positions[rows]
+        levels.append(Level({"tolerance": tolerance}, reading=seconds, label=words, shift=shift))
     return against_finest("solver tolerance", levels, len(levels) - 1)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -92,9 +93,9 @@ class TrialRunner:
         belief, truth = scene.belief(), scene.skin
         errors, calibrating, tolerance_mm, located = [], 0.0, 0.0, []
         for recording in recordings:
-            begin = time.process_time()
-            found = calibrate(recording, belief, setting.method, setting.tolerance)
-            calibrating += time.process_time() - begin
+            asked = setting.method, setting.tolerance
+            found, seconds = timed(partial(calibrate, recording, belief, *asked))
+            calibrating += seconds
             error = metrics.position_errors(found, truth)
             errors.append(1e3 * float(np.nanmean(error)))
             located.append(int(np.isfinite(error).sum()))

@@ -229,16 +229,13 @@ def _tables_of(scene: Scene) -> dict[str, Any]:
     return out | {"contact": scene.contact}
 
 
-def _foreign(kind: type) -> bool:
-    """Whether a class is from outside of this package, whose source every key contains."""
-    return kind.__module__.partition(".")[0] != __name__.partition(".")[0]
-
-
 def own_sources(tables: SceneTable) -> str:
-    """The sources of the effects in the tables of a scene that are not of this package."""
+    """The sources of the effects in the tables of a scene that are not of this package, whose
+    source every key contains."""
     effects = [*tables.get("effects", ()), *tables.get("candidates", ())]
-    names = {str(table["kind"]) for table in effects if "kind" in table}
-    return "".join(source_text(kind) for kind in map(find, sorted(names)) if _foreign(kind))
+    kinds = map(find, sorted({str(table["kind"]) for table in effects if "kind" in table}))
+    package = __name__.partition(".")[0]
+    return "".join(source_text(k) for k in kinds if k.__module__.partition(".")[0] != package)
 
 
 def source_text(code: Any) -> str:

@@ -13,24 +13,14 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-from .records import (
-    IDL,
-    MSG,
-    UNDEFINED,
-    Connection,
-    Record,
-    Torn,
-    read_exactly,
-    unknown_codec,
-    unpacked_lz4,
-    unpacked_zstd,
-)
+from .records import IDL, MSG, UNDEFINED, Connection, Record, Torn, read_exactly, unpacked
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
 """Operation codes of the records that are read, and of those after the data."""
 FORMATS = {"ros2msg": MSG, "ros1msg": MSG, "ros2idl": IDL, "omgidl": IDL}
 """Format of definitions by the encoding of a schema."""
+CODECS, REMEDY = ("", "lz4", "zstd"), "compress it anew (mcap compress --compression zstd)"
 DAMAGED = (Torn, KeyError, ValueError, struct.error, OSError, OverflowError)
 """What reading damaged records raises."""
 _RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
@@ -76,13 +66,13 @@ def _chunk(
     stream: BinaryIO, length: int, schemas: Schemas, path: Path
 ) -> Iterator[Connection | Record]:
     """The records of a chunk, as far as they are there. Raises Torn where it ends early."""
-    _, _, unpacked, checksum = _CHUNK.unpack(read_exactly(stream, _CHUNK.size))
+    _, _, length_unpacked, checksum = _CHUNK.unpack(read_exactly(stream, _CHUNK.size))
     name = _text(stream)
     (packed,) = _SIZE.unpack(read_exactly(stream, _SIZE.size))
     if _CHUNK.size + _TEXT.size + len(name) + _SIZE.size + packed != length:
         raise Torn
-    content = _decompress(stream.read(packed), name, path)
-    whole = len(content) == unpacked
+    content = unpacked(stream.read(packed), name, path, CODECS, REMEDY)
+    whole = len(content) == length_unpacked
     if whole and checksum and zlib.crc32(content) != checksum:
         raise Torn
     inner = BytesIO(content)
@@ -115,18 +105,6 @@ def _record(code: int, content: bytes, schemas: Schemas) -> Connection | Record 
     form = FORMATS.get(encoding, UNDEFINED)
     topic, of_messages = _text(stream), _text(stream)
     return Connection(key, topic, name, of_messages, data.decode() if form else "", form)
-
-
-def _decompress(content: bytes, compression: str, path: Path) -> bytes:
-    """The content of a chunk, as far as it is there. Raises Torn if it is damaged."""
-    if compression == "":
-        return content
-    if compression == "lz4":
-        return unpacked_lz4(content)
-    if compression == "zstd":
-        return unpacked_zstd(content)
-    remedy = "compress it anew (mcap compress --compression zstd)"
-    raise unknown_codec(path, compression, "none, lz4 or zstd", remedy)
 
 
 def _text(stream: BinaryIO) -> str:

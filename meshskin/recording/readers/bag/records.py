@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import bz2
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -55,8 +56,7 @@ def read_exactly(stream: BinaryIO, length: int) -> bytes:
     return found
 
 
-def unpacked_lz4(content: bytes) -> bytes:
-    """The content of a chunk, as far as it is there. Raises Torn if it is damaged."""
+def _lz4(content: bytes) -> bytes:
     from lz4.frame import LZ4FrameDecompressor
 
     try:
@@ -77,14 +77,21 @@ def unpacked_zstd(content: bytes) -> bytes:
         raise Torn from error
 
 
-def unknown_codec(path: Path, codec: str, known: str, remedy: str) -> RecordingError:
-    """The error for a compression that is not read."""
-    return RecordingError(
-        f"{path.name} is compressed by a codec that is not read",
-        value=codec,
-        limit=known,
-        remedy=remedy,
-    )
+def unpacked(content: bytes, codec: str, path: Path, known: Sequence[str], remedy: str) -> bytes:
+    """The content of a chunk, as far as it is there; known: its name of no codec, and two others.
+
+    Raises Torn if it is damaged, RecordingError for another codec.
+    """
+    if codec not in known:
+        raise RecordingError(
+            f"{path.name} is compressed by a codec that is not read",
+            value=codec, limit=f"none, {known[1]} or {known[2]}", remedy=remedy,
+        )  # fmt: skip
+    if codec == "bz2":
+        return bz2.BZ2Decompressor().decompress(content)
+    if codec == "lz4":
+        return _lz4(content)
+    return unpacked_zstd(content) if codec == "zstd" else content
 
 
 class Bag:

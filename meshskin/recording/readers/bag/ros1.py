@@ -6,14 +6,13 @@ endian (http://wiki.ros.org/Bags/Format/2.0).
 
 from __future__ import annotations
 
-import bz2
 import struct
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-from .records import MSG, Connection, Record, Torn, read_exactly, unknown_codec, unpacked_lz4
+from .records import MSG, Connection, Record, Torn, read_exactly, unpacked
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, CHUNK, CONNECTION = 2, 5, 7
@@ -21,6 +20,7 @@ MESSAGE, CHUNK, CONNECTION = 2, 5, 7
 _LENGTH, _TIME, _POSITION = struct.Struct("<I"), struct.Struct("<II"), struct.Struct("<Q")
 DAMAGED = (Torn, KeyError, IndexError, ValueError, struct.error, OSError)
 """What reading damaged records raises."""
+CODECS, REMEDY = ("none", "bz2", "lz4"), "decompress it (rosbag decompress)"
 _SECOND = 10**9
 """Nanoseconds."""
 
@@ -54,8 +54,8 @@ def records(path: Path) -> Iterator[Connection | Record | Torn]:
                 if operation == CHUNK:
                     content = stream.read(length)
                     try:
-                        whole = _decompress(content, header["compression"].decode(), path)
-                        yield from _chunk(whole)
+                        codec = header["compression"].decode()
+                        yield from _chunk(unpacked(content, codec, path, CODECS, REMEDY))
                     except DAMAGED:
                         if len(content) < length:
                             raise
@@ -95,18 +95,6 @@ def _record(operation: int, header: dict[str, bytes], data: bytes) -> Connection
         about["message_definition"].decode(),
         MSG,
     )
-
-
-def _decompress(content: bytes, compression: str, path: Path) -> bytes:
-    """The content of a chunk, as far as it is there."""
-    if compression == "none":
-        return content
-    if compression == "bz2":
-        return bz2.BZ2Decompressor().decompress(content)
-    if compression == "lz4":
-        return unpacked_lz4(content)
-    remedy = "decompress it (rosbag decompress)"
-    raise unknown_codec(path, compression, "none, bz2 or lz4", remedy)
 
 
 def _header(stream: BinaryIO) -> dict[str, bytes]:
