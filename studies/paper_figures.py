@@ -81,7 +81,8 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     assert data.iterations is not None
     theme.save(maps.estimates(data), options.out, "fig5")
     iterations = maps.iterations(data.iterations, data.plane)
-    theme.save(iterations, options.out, "fig6-8", ("fig6", "fig7", "fig8"))
+    theme.save(iterations, options.out, "fig6-8")
+    theme.save_panels(iterations, options.out, ("fig6", "fig7", "fig8"))
 
     pairs = demonstration.coactive_pairs(recording, scene.skin.ids)
     swept = paper_noise.noise_sweep(scene.skin.poses, pairs, LEVELS, seeds)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,10 +47,9 @@ def draw_figures(
 
 
 def _save(
-    folder: Path, name: str, figure: Figure, title: str, caption: str, alt: str, *panels: str
+    folder: Path, name: str, figure: Figure, title: str, caption: str, alt: str
 ) -> SavedFigure:
-    png, svg, *also = theme.save(figure, folder, name, panels)
-    return SavedFigure(png, svg, title, caption, alt, tuple(also))
+    return SavedFigure(*theme.save(figure, folder, name), title, caption, alt)
 
 
 def _projection_note(data: ReportData) -> str:
@@ -224,18 +224,20 @@ def iterations(folder: Path, data: ReportData) -> SavedFigure | None:
         return None
     goal = "truth" if run.has_truth else "last iterate"
     start = "Displacements are the true ones with noise; all taxels start at one point. "
-    return _save(
+    figure = maps.iterations(run, data.plane)
+    picture = _save(
         folder,
         "fig6-8_iterations",
-        maps.iterations(run, data.plane),
+        figure,
         "Pose-graph estimates along the iterations (the paper's fig. 6 to 8)",
         (start if run.is_demonstration else "")
         + f"The first, the last and the iterate nearest to half way, of {len(run.positions)} "
         f"iterates. Means are distances in space from the {goal}; the maps show the part along the "
         "skin. Good: in the last panel every estimate is inside its ring or next to it.",
         "Maps of the estimates at the first, middle and last iteration",
-        *(f"fig{6 + k}_iteration" for k in range(3)),
     )
+    panels = [f"fig{6 + k}_iteration" for k in range(3)]
+    return replace(picture, also=theme.save_panels(figure, folder, panels))
 
 
 def residuals(folder: Path, data: ReportData) -> SavedFigure | None:

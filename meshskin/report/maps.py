@@ -182,7 +182,7 @@ def iterations(run: Iterations, plane: Plane) -> Figure:
     """Fig. 6-8: pose-graph estimates at the first, a middle and the last iteration.
 
     The middle one is nearest to half way between the first and the last. Three panels of equal
-    width, each with its legend, for the panels of `theme.save`.
+    width, each with its legend, for `theme.save_panels`.
     """
     t, all_iterates = np.asarray(run.reference), np.asarray(run.positions)
     chosen = representative_iterations(all_iterates)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..core import palette
 from ..core.arrays import Array
-from ..core.atomic_io import atomic, write_text
+from ..core.atomic_io import atomic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -125,56 +125,68 @@ def color_bar(figure: Figure, artist: Any, axes: Axes, label: str) -> Any:
 
 
 @styled
-def save(
-    figure: Figure, folder: str | Path, name: str, panels: Sequence[str] = ()
-) -> tuple[Path, ...]:
+def save(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
     """Write folder/name.png and folder/name.svg, each atomically; return their paths.
 
-    panels: names of further files, one for each axes of the figure with its legend; the axes have
-    equal widths and fill it. Raises OutputError if the folder cannot be written.
+    Raises OutputError if the folder cannot be written.
     """
-    from .renderer import draw
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            if not axis.label.get_text():
-                axis.set_label_coords(0.0, 0.0)  # placing a label measures all tick labels
-    pixels, svg = draw(figure)
-    parts = [(name, pixels, svg)]
-    columns = zip(panels, np.array_split(pixels, len(panels) or 1, axis=1), strict=False)
-    for k, (panel, part) in enumerate(columns):
-        parts.append((panel, part, _panel(svg, k, len(panels))))
-    paths = list[Path]()
-    for stem, part, text in parts:
-        paths += [Path(folder) / f"{stem}.png", Path(folder) / f"{stem}.svg"]
-        _write_png(paths[-2], part)
-        write_text(paths[-1], text)
+    png, svg = _paths(folder, name)
+    axes = [axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
+    for axis in axes:
+        if not axis.label.get_text():
+            axis.set_label_coords(0.0, 0.0)  # placing a label measures all tick labels
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    _write_png(png, np.asarray(canvas.buffer_rgba()))
+    for axis in axes:  # in the SVG, labels are where the PNG has them
+        x, y = axis.label.get_transform().transform(axis.label.get_position())
+        axis.set_label_coords(*axis.axes.transAxes.inverted().transform((x, y)))
+    _write_svg(svg, figure)
+    return png, svg
+
+
+@styled
+def save_panels(figure: Figure, folder: str | Path, names: Sequence[str]) -> tuple[Path, ...]:
+    """Write the panels of a figure after `save`, each axes with its legend, as files of their own.
+
+    The panels have equal widths and fill the figure; they are cut out of its PNG. Returns the
+    paths. Raises OutputError if the folder cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.transforms import Bbox
+
+    assert isinstance(figure.canvas, FigureCanvasAgg)  # of `save`
+    pixels, paths = np.asarray(figure.canvas.buffer_rgba()), list[Path]()
+    width, height = figure.get_size_inches() / (len(names), 1)
+    for k, name in enumerate(names):
+        png, svg = _paths(folder, name)
+        paths += [png, svg]
+        first, end = (round(edge * width * DPI) for edge in (k, k + 1))
+        _write_png(png, pixels[:, first:end])
+        for other, axes in enumerate(figure.axes):
+            axes.set_visible(other == k)
+        _write_svg(svg, figure, bbox_inches=Bbox.from_bounds(k * width, 0.0, width, height))
     return tuple(paths)
 
 
-def _panel(svg: str, k: int, count: int) -> str:
-    """The k-th of `count` columns of an SVG of matplotlib, with the axes in it alone."""
-
-    def definitions(other: re.Match[str]) -> str:
-        """What other axes define may be used in this one."""
-        return "".join(re.findall(r"^ *<defs>\n.*?^ *</defs>\n", other[0], re.M | re.S))
-
-    def view(found: re.Match[str]) -> str:
-        width = float(found[1]) / count
-        return f'width="{width:g}pt" height="{found[2]}pt" viewBox="{k * width:g} 0 {width:g} '
-
-    axes = rf'^  <g id="axes_(?!{k + 1}")\d+">\n.*?^  </g>\n'
-    svg = re.sub(axes, definitions, svg, flags=re.M | re.S)
-    return re.sub(r'width="(.*?)pt" height="(.*?)pt" viewBox="0 0 \S+ ', view, svg, count=1)
+def _paths(folder: str | Path, name: str) -> tuple[Path, Path]:
+    return Path(folder) / f"{name}.png", Path(folder) / f"{name}.svg"
 
 
 def _write_png(path: Path, pixels: Array) -> None:
-    """Write pixels (rows, columns, 3)."""
+    """Write pixels (rows, columns, 4); they are opaque."""
     from PIL import Image
 
+    opaque = np.ascontiguousarray(pixels[..., :3])
     with atomic(path) as temporary:
-        image = Image.fromarray(np.ascontiguousarray(pixels))
-        image.save(temporary, "png", compress_level=1, dpi=(DPI, DPI))
+        Image.fromarray(opaque).save(temporary, "png", compress_level=1, dpi=(DPI, DPI))
+
+
+def _write_svg(path: Path, figure: Figure, **part: Any) -> None:
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="svg", dpi=DPI, metadata={"Date": None}, **part)
 
 
 UNGROUPED_DIGITS = 4

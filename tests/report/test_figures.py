@@ -135,8 +135,8 @@ def test_panels_of_a_figure_are_files_of_their_own(tmp_path: Path) -> None:
     figure = theme.new_figure(6.0, 2.0)
     for k in range(3):
         theme.add_axes(figure, 0.5 + 2.0 * k, 0.5, 1.2, 1.2).set_title(f"panel {k}")
-    png, _, *paths = theme.save(figure, tmp_path, "whole", ["a", "b", "c"])
-    whole = Image.open(png)
+    whole = Image.open(theme.save(figure, tmp_path, "whole")[0])
+    paths = theme.save_panels(figure, tmp_path, ["a", "b", "c"])
     assert [p.name for p in paths] == ["a.png", "a.svg", "b.png", "b.svg", "c.png", "c.svg"]
     panels = [np.asarray(Image.open(p)) for p in paths[::2]]
     np.testing.assert_array_equal(np.hstack(panels), np.asarray(whole))
