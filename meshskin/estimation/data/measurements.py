@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 NOMINAL_NOISE = 0.01
 """Standard deviation that weights the readings when none is known, relative to the median peak.
 Without a known noise the covariance is scaled by the residuals, so that it cancels there."""
+JUMPS = 1.5
+"""Mean square of the ways to the second contact after each, relative to that of the ways to the
+next, below which contacts have no passes: 4 on a line, 1 at random places."""
 
 
 @dataclass(frozen=True)
@@ -158,12 +161,21 @@ class Measurements:
 
     @cached_property
     def headway(self) -> Array:
-        """Unit tangents (m, 3) along which the contacts move; zeros where there is no motion."""
-        if len(self.points) < 2:
-            return np.zeros_like(self.points)
-        ahead = np.gradient(self.points, axis=0)
+        """Tangents (m, 3) along which the contacts move: unit ones; zeros where there is no motion.
+
+        Contacts without passes, as at random places, move to the next one: their velocities,
+        relative to the median speed. Readings that come a part of a frame late are on that way.
+        """
+        points, way = self.points, np.diff(self.points, axis=0)
+        if not len(way):
+            return np.zeros_like(points)
+        twice = way[1:] + way[:-1]
+        jumps = np.mean(np.sum(twice**2, axis=1)) < JUMPS * np.mean(np.sum(way**2, axis=1))
+        pause = np.maximum(np.diff(self.time), 1e-9)[:, None]
+        ahead = np.append(way / pause, way[:1] * 0, axis=0) if jumps else np.gradient(points, axis=0)
         ahead -= np.sum(ahead * self.normals, axis=1, keepdims=True) * self.normals
         length = np.linalg.norm(ahead, axis=1, keepdims=True)
+        length = np.median(length) if jumps else length
         return np.asarray(ahead / np.where(length > 0, length, 1.0))
 
     @cached_property
