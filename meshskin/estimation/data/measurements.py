@@ -172,7 +172,8 @@ class Measurements:
         twice = way[1:] + way[:-1]
         jumps = np.mean(np.sum(twice**2, axis=1)) < JUMPS * np.mean(np.sum(way**2, axis=1))
         pause = np.maximum(np.diff(self.time), 1e-9)[:, None]
-        ahead = np.append(way / pause, way[:1] * 0, axis=0) if jumps else np.gradient(points, axis=0)
+        speed = np.append(way / pause, np.zeros((1, 3)), axis=0)
+        ahead = speed if jumps else np.gradient(points, axis=0)
         ahead -= np.sum(ahead * self.normals, axis=1, keepdims=True) * self.normals
         length = np.linalg.norm(ahead, axis=1, keepdims=True)
         length = np.median(length) if jumps else length
