@@ -16,6 +16,7 @@ from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
 from ...scene.belief import Belief
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
+from .headway import headway
 from .patch_shape import alike_contacts, over_patches, patch_shifts, typical_radius, unevenness
 from .resolve_belief import in_range, nominal_patches
 
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 NOMINAL_NOISE = 0.01
 """Standard deviation that weights the readings when none is known, relative to the median peak.
 Without a known noise the covariance is scaled by the residuals, so that it cancels there."""
-JUMPS = 1.5
-"""Mean square of the ways to the second contact after each, relative to that of the ways to the
-next, below which contacts have no passes: 4 on a line, 1 at random places."""
 
 
 @dataclass(frozen=True)
@@ -161,23 +159,8 @@ class Measurements:
 
     @cached_property
     def headway(self) -> Array:
-        """Tangents (m, 3) along which the contacts move: unit ones; zeros where there is no motion.
-
-        Contacts without passes, as at random places, move to the next one: their velocities,
-        relative to the median speed. Readings that come a part of a frame late are on that way.
-        """
-        points, way = self.points, np.diff(self.points, axis=0)
-        if not len(way):
-            return np.zeros_like(points)
-        twice = way[1:] + way[:-1]
-        jumps = np.mean(np.sum(twice**2, axis=1)) < JUMPS * np.mean(np.sum(way**2, axis=1))
-        pause = np.maximum(np.diff(self.time), 1e-9)[:, None]
-        speed = np.append(way / pause, np.zeros((1, 3)), axis=0)
-        ahead = speed if jumps else np.gradient(points, axis=0)
-        ahead -= np.sum(ahead * self.normals, axis=1, keepdims=True) * self.normals
-        length = np.linalg.norm(ahead, axis=1, keepdims=True)
-        length = np.median(length) if jumps else length
-        return np.asarray(ahead / np.where(length > 0, length, 1.0))
+        """Tangents (m, 3) along which the contacts move (`headway.headway`)."""
+        return headway(self.points, self.normals, self.time)
 
     @cached_property
     def longest(self) -> Array:
