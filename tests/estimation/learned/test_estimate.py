@@ -333,6 +333,7 @@ def test_force_errors_are_found(seed, contacts):
     assert 0.75 < stated / error < 1.35
 
 
+@pytest.mark.slow
 def test_forces_recorded_as_constant_are_mended():
     body, rng = Body.ellipsoid((0.07, 0.05, 0.04)), np.random.default_rng(4)
     side = rng.normal(size=3)

@@ -106,6 +106,7 @@ def test_modules_are_turned_and_placed_better_than_single_taxels(clean):
     assert any("rigid modules" in factor for factor in found.factors)
 
 
+@pytest.mark.slow
 def test_a_dead_taxel_follows_and_exchanged_ones_are_named():
     found, truth, _ = calibrated(dead=[4], swapped=[13, 18])
     assert not found.touched[4]

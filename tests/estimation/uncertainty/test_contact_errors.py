@@ -159,7 +159,7 @@ def test_scatter_of_the_contact_points_averages_out(noisy, log):
     assert variance == pytest.approx(1e-8 * concentration, rel=0.2)
 
 
-@pytest.mark.parametrize("scatter", [0.0, 1e-4])
+@pytest.mark.parametrize("scatter", [pytest.param(0.0, marks=pytest.mark.slow), 1e-4])
 def test_displaced_contact_points_displace_taxels(noisy, log, scatter):
     aside = np.random.default_rng(0).normal(scale=scatter, size=log.points.shape)
     aside[:, 0] += 1e-3
@@ -191,7 +191,7 @@ def test_estimated_offsets_explain_distances(noisy, log):
 
 
 @pytest.mark.parametrize(
-    "frames", [-2, 7, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 3))]
+    "frames", [-2, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 3, 7))]
 )
 def test_late_readings_are_moved_back_and_named(noisy, log, frames):
     found = ms.calibrate(late(log, frames), noisy.belief())

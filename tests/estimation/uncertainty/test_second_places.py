@@ -114,6 +114,7 @@ def swept(skin, body, seed):
     return points[np.lexsort((points[:, 1] * np.where(lane % 2, 1, -1), lane))]
 
 
+@pytest.mark.slow
 def test_ids_of_a_module_that_are_off_by_one_from_midway():
     """In lanes few taxels answer before and after it; the second places are next to the first."""
     base = ms.Scene.load("sphere_noisy")
