@@ -10,7 +10,6 @@ import pytest
 
 import meshskin as ms
 from meshskin.geometry.body import Body
-from meshskin.report import figure_set
 from meshskin.robot.arm import Arm
 from meshskin.scene import shipped_scenes
 from meshskin.simulation.simulate import prepare
@@ -37,7 +36,7 @@ def script():
 def no_figures(monkeypatch):
     """Pages have no figures: drawing takes most of the time of what writes a page, and has tests of
     its own."""
-    monkeypatch.setattr(figure_set, "DRAWN", ())
+    monkeypatch.setattr("meshskin.report.figure_set.DRAWN", ())
 
 
 @pytest.fixture(scope="session")
