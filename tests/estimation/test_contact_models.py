@@ -146,7 +146,8 @@ def test_the_paper_s_methods(worlds, name, method):
     assert error.mean() < 0.2e-3
 
 
-@pytest.mark.parametrize("name", FIRST)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MODELS)
 def test_next_contacts_aim_at_the_worst(worlds, name):
     world = worlds[name]
     belief, recording = world.belief(0.01, 0.05), world.record(0.01, 0.05)

@@ -296,6 +296,7 @@ def rippled():
     return scene, ms.simulate(scene, seed=1)
 
 
+@pytest.mark.slow
 def test_readings_over_edges_do_not_make_others_outlying(rippled):
     """Residuals of the readings over the ripples are small beside the deviation that these are
     given."""

@@ -35,6 +35,7 @@ def exchanged(world, recording, share):
     return changed(recording, taxel=np.where(late, other[index], ids).astype(np.int32))
 
 
+@pytest.mark.slow
 def test_ids_exchanged_in_half_of_the_recording():
     wide = World(extent=25e-3, step=1.5e-3)
     recording, belief = wide.record(0.01, 0.05), wide.belief(0.01, 0.05)

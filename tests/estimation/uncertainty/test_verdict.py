@@ -166,7 +166,8 @@ def test_negative_readings_of_frames_without_force_do_not_hide_corrupt_ones(nois
     assert found[1].startswith(f"{len(corrupt)} of {len(pressure)} readings are corrupt")
 
 
-@pytest.mark.parametrize("factor", [pytest.param(0.5, marks=pytest.mark.slow), 3.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.5, 3.0])
 def test_no_taxel_is_confidently_wrong_where_the_model_does_not_fit(noisy, recorded, factor):
     found = ms.calibrate(changed(recorded, pressure=factor * recorded.pressure), noisy.belief())
     assert found.verdict.level == "FAIL"
