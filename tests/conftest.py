@@ -32,6 +32,13 @@ def script():
     return load
 
 
+@pytest.fixture
+def no_figures(monkeypatch):
+    """Pages have no figures: drawing takes most of the time of what writes a page, and has tests of
+    its own."""
+    monkeypatch.setattr("meshskin.report.figure_set.DRAWN", ())
+
+
 @pytest.fixture(scope="session")
 def sphere():
     """The paper's scene, interpreted: with "auto" a test that compiles would change the others'

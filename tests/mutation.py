@@ -70,7 +70,7 @@ def record(rows: list[tuple[str, str, str, str]], mutants: list[dict[str, str]])
     keys = [(m["file"], m["old"], m["new"]) for m in mutants]
     with path.open("w", newline="", encoding="utf-8") as file:
         table = [(known[key], *key) for key in keys if key in known]
-        csv.writer(file).writerows([("outcome", "file", "old", "new"), *table])
+        csv.writer(file, lineterminator="\n").writerows([("outcome", "file", "old", "new"), *table])
 
 
 def main(words: list[str]) -> int:

@@ -111,9 +111,9 @@ def _layer(
 def _difference(poisson: float, variance: float, reach: float) -> Any:
     """D(x) as a spline on 0 <= x <= reach; variance: of the cell, in units of t^2."""
     from scipy.interpolate import CubicSpline
-    from scipy.special import j0
+    from scipy.special import j0, roots_legendre
 
-    x, weight = np.polynomial.legendre.leggauss(64 + int(_MAX_Z * reach / 2))
+    x, weight = roots_legendre(64 + int(_MAX_Z * reach / 2))
     z = _MAX_Z / 2 * (1 + x)
     weight = _MAX_Z / 2 * weight * layer_factor(z, poisson) * np.exp(-variance * z**2 / 2)
     knots = np.linspace(0.0, reach, 65 + int(12 * reach))

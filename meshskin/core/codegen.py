@@ -13,6 +13,7 @@ CasADi's own just-in-time compilation (the option `jit`) was weighed: it compile
 from __future__ import annotations
 
 import atexit
+import contextlib
 import ctypes
 import functools
 import hashlib
@@ -24,7 +25,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -143,7 +144,11 @@ def _machine_code(
     for root in (cache_folder, _temporary_folder):
         try:
             folder = _private_folder(root(), key)
-            return _cached(load, folder) or load(str(_build(source, folder, compiler, flags)))
+            if made := _cached(load, folder):
+                return made
+            with _locked(folder):  # another process may have built it meanwhile
+                built = _cached(load, folder)
+                return built or load(str(_build(source, folder, compiler, flags)))
         except OSError:  # a cache folder that is full or not ours: build in a temporary folder
             continue
         except RuntimeError as error:
@@ -216,6 +221,24 @@ def _private_folder(root: Path | None, key: str) -> Path:
                 raise PermissionError(f"{folder} belongs to another user")
             folder.chmod(0o700)
     return root / key
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Lets one process at a time build in `folder`, where the system can lock folders."""
+    try:
+        import fcntl
+
+        handle = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):  # Windows: each process builds
+        yield
+        return
+    try:
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _cached(load: Callable[[str], T], folder: Path) -> T | None:

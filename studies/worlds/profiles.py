@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
-from scipy.special import ive
+from scipy.special import ive, roots_legendre
 
 Array = NDArray[np.float64]
 Profile = Callable[[Array, Array], Array]
@@ -102,7 +102,7 @@ def blurred(profile: Profile, sigma: float) -> Tabulated:
     exp(-(r^2 + s^2) / (2 sigma^2)) I_0(r s / sigma^2) ds.
     """
     r = np.arange(0.0, REACH, 5e-5)
-    node, weight = np.polynomial.legendre.leggauss(2000)
+    node, weight = roots_legendre(2000)
     s, ds = REACH * (node + 1) / 2, REACH * weight / 2
     kernel = s / sigma**2 * np.exp(-((r[:, None] - s) ** 2) / (2 * sigma**2))
     kernel *= ive(0, r[:, None] * s / sigma**2)

@@ -217,9 +217,9 @@ def test_a_folder_that_cannot_be_written(capsys, tmp_path):
 )
 def test_ctrl_c_leaves_no_half_written_file(tmp_path, wait):
     """Interrupt at a moment of a run: whatever is there is whole, nothing is a part."""
-    out = tmp_path / "out"
+    out, scene = tmp_path / "out", toml(tmp_path, 'extends = "sphere"\n[skin]\ncount = 12')
     process = subprocess.Popen(
-        [sys.executable, "-m", "meshskin", "run", "sphere", "--out", str(out), "--quiet"],
+        [sys.executable, "-m", "meshskin", "run", scene, "--out", str(out), "--quiet"],
         stderr=subprocess.PIPE,
         env=os.environ,
     )

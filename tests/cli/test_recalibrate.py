@@ -67,21 +67,28 @@ def test_a_part_of_a_urdf_file_is_chosen(files, tmp_path, capsys):
     assert cli.main(["recalibrate", table, *asked, "--taxels", both, *part]) == 0
 
 
-def test_a_force_is_given_or_that_of_the_touches(files, tmp_path, capsys):
-    """A belief of options has no reference force."""
-    scene, out = ms.Scene.load("sphere_noisy"), tmp_path / "out"
-    scene.body.mesh.export(tmp_path / "ball.stl")
-    known = ["--body", tmp_path / "ball.stl", "--units", "m", "--young-kpa", "200", "--out", out]
+@pytest.fixture
+def asked(files, tmp_path):
+    """Arguments of the command with options in place of a scene: these have no reference force."""
+    ms.Scene.load("sphere_noisy").body.mesh.export(tmp_path / "ball.stl")
+    known = ["--body", tmp_path / "ball.stl", "--units", "m", "--young-kpa", "200"]
     known += ["--indenter-radius-mm", "10", "--noise-kpa", "0.5", "--touches", "2"]
-    asked = ["recalibrate", *map(str, (files / "map.csv", *known))]
+    return ["recalibrate", *map(str, (files / "map.csv", *known, "--out", tmp_path / "out"))]
+
+
+def test_a_force_is_given(asked, tmp_path, capsys):
+    out = tmp_path / "out"
     assert cli.main(asked) == 2
     assert "planned for a force; give --force-n" in capsys.readouterr().err
     assert not out.exists()
     assert cli.main([*asked, "--force-n", "3"]) == 0
     assert len((out / "touches.csv").read_text().splitlines()) == 3
-    (out / "touches.csv").unlink()
+
+
+@pytest.mark.slow
+def test_without_a_force_it_is_that_of_the_touches(files, asked, tmp_path):
     assert cli.main([*asked[:2], str(files / "touches"), *asked[2:]]) == 1
-    assert len((out / "touches.csv").read_text().splitlines()) == 3
+    assert len((tmp_path / "out" / "touches.csv").read_text().splitlines()) == 3
 
 
 @pytest.mark.parametrize(

@@ -87,10 +87,15 @@ def test_a_damaged_library_is_rebuilt(cache, damage):
 
 
 @needs_compiler
-def test_two_processes_at_once(cache):
+def test_of_several_processes_at_once_one_compiles(cache, monkeypatch, tmp_path):
+    compiler, calls = tmp_path / "cc", tmp_path / "calls"
+    compiler.write_text(f'#!/bin/sh\necho >> {calls}\nexec {module.find_compiler()} "$@"\n')
+    compiler.chmod(0o700)
+    monkeypatch.setenv("MESHSKIN_COMPILER", str(compiler))
     runs = [start(cache) for _ in range(4)]
     assert {run.communicate()[0].strip() for run in runs} == {"External 4.0"}
     assert not [p for p in cache.rglob("*") if p.is_file() and p.suffix != ".so"]
+    assert calls.read_text() == "\n"
 
 
 @needs_compiler

@@ -39,7 +39,7 @@ def test_a_stage_counts_to_its_end_whatever_was_usual():
 @pytest.fixture(scope="module")
 def pressed(noisy):
     """300 contacts of the noisy sphere."""
-    near = np.random.default_rng(0).normal(scale=12e-3, size=(300, 3))
+    near = np.random.default_rng(0).normal(scale=12e-3, size=(150, 3))
     return ms.press(noisy, noisy.skin.positions.mean(axis=0) + near, seed=1)
 
 

@@ -154,7 +154,7 @@ def test_blocks_are_of_consecutive_contacts():
 
 
 def test_what_cannot_be_cross_validated(physical, tmp_path):
-    recording, calibration, found = physical
+    recording, calibration, _ = physical
     calibration.save(tmp_path / "skin")
     loaded = Calibration.load(tmp_path / "skin")
     with pytest.raises(CalibrationError, match="does not know the scene"):
@@ -163,6 +163,13 @@ def test_what_cannot_be_cross_validated(physical, tmp_path):
         calibration.cross_validate(recording, folds=1)
     with pytest.raises(CalibrationError, match="too few blocks"):
         calibration.cross_validate(recording, folds=200)
+
+
+@pytest.mark.slow
+def test_a_loaded_calibration_is_cross_validated_alike(physical, tmp_path):
+    recording, calibration, found = physical
+    calibration.save(tmp_path / "skin")
+    loaded = Calibration.load(tmp_path / "skin")
     again = loaded.cross_validate(recording, belief=known(contact="hertz"))
     assert np.allclose(again.errors, found.errors, equal_nan=True)
 

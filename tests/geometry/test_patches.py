@@ -162,14 +162,14 @@ def test_a_skin_is_laid_on_a_patch_by_its_name(ball, tmp_path):
     body = Body.load(tmp_path / "hand.obj", units="m")
     rows = body.patches["palm"]
     assert area(body, Patch("palm")) == pytest.approx(body.mesh.area_faces[rows].sum(), rel=1e-9)
-    by_name = Skin.cover(body, spacing=6e-3, region="palm", seed=2)
+    by_name = Skin.cover(body, spacing=1e-2, region="palm", seed=2)
     mask = np.zeros(len(body.mesh.faces), dtype=bool)
     mask[rows] = True
     for region in (Patch("palm"), Faces(mask), Faces(tuple(rows.tolist()))):
-        same = Skin.cover(body, spacing=6e-3, region=region, seed=2)
+        same = Skin.cover(body, spacing=1e-2, region=region, seed=2)
         np.testing.assert_array_equal(same.positions, by_name.positions)
     assert np.isin(body.closest(by_name.positions).face, rows).mean() > 0.99
-    expected = area(body, Patch("palm")) / (np.sqrt(0.75) * 6e-3**2)
+    expected = area(body, Patch("palm")) / (np.sqrt(0.75) * 1e-2**2)
     assert len(by_name) == pytest.approx(expected, rel=0.12)
     modules = Skin.modules(body, region="palm")
     assert np.isin(body.closest(modules.skin.positions).face, rows).all()

@@ -136,7 +136,7 @@ def judged(place, young, speed, integrator, dt):
     return stated, np.abs(found[integrator] - exact).max() / max(exact.max(), 3.0)
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("integrator", FIRST)
 @pytest.mark.parametrize(
     ("young", "speed", "dt"),
     [
@@ -201,7 +201,7 @@ def test_delayed_readings_are_as_old_in_shorter_steps(sphere):
     assert 1e-4 < np.abs(own - finer).max() < 3.0 * stated
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("integrator", FIRST)
 @pytest.mark.parametrize("shape", ["inertia", pytest.param("identity", marks=pytest.mark.slow)])
 def test_a_step_too_long_is_refused_and_the_step_named_works(sphere, integrator, shape):
     def scene(dt):

@@ -52,6 +52,12 @@ def bags(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def streams():
+    """The streams of a log of several chunks."""
+    return RobotLog(contacts=24).streams()
+
+
 def equal(log, count=None):
     """The streams of a log have the values that were written, or the first of them."""
     for stream in log.streams:
@@ -119,8 +125,7 @@ def test_a_torn_file_is_read_up_to_the_tear(bags, tmp_path, name, share):
 
 @pytest.mark.parametrize("share", [pytest.param(0.2, marks=pytest.mark.slow), 0.35])
 @pytest.mark.parametrize("suffix", ["bag", "mcap"])
-def test_garbage_in_a_chunk_is_left_out_and_said(tmp_path, suffix, share):
-    streams = RobotLog(contacts=24).streams()
+def test_garbage_in_a_chunk_is_left_out_and_said(tmp_path, streams, suffix, share):
     path = tmp_path / f"garbage.{suffix}"
     if suffix == "bag":
         robot_log.write_ros1(path, streams)  # chunks of 1 MiB

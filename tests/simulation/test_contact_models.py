@@ -25,8 +25,15 @@ def test_the_slope_is_the_derivative_of_the_force(model):
         assert float(f(depth, [30.0, -5.0])[1]) == pytest.approx((above - below) / (2 * step), 1e-6)
 
 
-@pytest.mark.parametrize("mode", ["arm", "quasi_static"])
-@pytest.mark.parametrize("model", ["elliptic", "layered"])
+@pytest.mark.parametrize(
+    ("model", "mode"),
+    [
+        ("layered", "arm"),
+        ("elliptic", "quasi_static"),
+        pytest.param("elliptic", "arm", marks=pytest.mark.slow),
+        pytest.param("layered", "quasi_static", marks=pytest.mark.slow),
+    ],
+)
 def test_the_force_settles_at_its_reference(model, mode):
     scene = ms.Scene.load("sphere")
     scene = scene.with_(
@@ -62,7 +69,7 @@ def test_a_model_that_does_not_hold_is_refused_or_its_places_left_out():
     with pytest.raises(ContactError, match="too wide"):
         ms.simulate(soft)
     body = ms.Body.capsule(0.03, 0.2)
-    skin = ms.Skin.cover(body, spacing=12e-3, seed=1)
+    skin = ms.Skin.cover(body, spacing=24e-3, seed=1)
     scene = sphere.with_(
         body=body, skin=skin, loop=replace(sphere.loop, mode="quasi_static"),
         material=replace(sphere.material, young=8e5), contact="hertz",

@@ -39,8 +39,8 @@ def delay_course(data: Measurements, in_time: np.ndarray, level: Array) -> np.nd
     pause between them; level (k,): pressures above those at rest.
     """
     sums, size = _sums(data, in_time, level)
-    floor = FLOOR * float(np.median(_spread(sums[LATE_FRAMES, -1]))) if len(size) else 0.0
-    cost = np.array([_cost(total, size, floor) for total in sums[:, -1]])
+    floor = FLOOR * float(np.median(_spread(sums[LATE_FRAMES, :, -1]))) if len(size) else 0.0
+    cost = np.array([_cost(total, size, floor) for total in sums[:, :, -1]])
     constant, start = int(np.argmin(cost)), LATE_FRAMES
     if cost[start] - cost[constant] >= LEAST_GAIN:  # changes would stand in for it
         start = constant
@@ -55,7 +55,7 @@ def delay_course(data: Measurements, in_time: np.ndarray, level: Array) -> np.nd
 
 
 def _sums(data: Measurements, in_time: np.ndarray, level: Array) -> tuple[Array, Array]:
-    """Sums (lags, BLOCKS + 1, t, 5) over the parts before each of the weights of t taxels'
+    """Sums (lags, 5, BLOCKS + 1, t) over the parts before each of the weights of t taxels'
     readings, of these times the contacts' positions, and times their squares; and the taxels'
     effective numbers of readings (t,).
     """
@@ -68,27 +68,26 @@ def _sums(data: Measurements, in_time: np.ndarray, level: Array) -> tuple[Array,
     block = data.contact[rows] * BLOCKS // len(data.points)
     cell, weight = block * t + place[data.taxel[rows]], weight[rows]
     points = data.points - data.points.mean(axis=0)
-    sums = np.zeros((len(LAGS), BLOCKS + 1, t, 5))
+    sums = np.zeros((len(LAGS), 5, BLOCKS + 1, t))
     for k, (lag, there) in enumerate(zip(LAGS, in_time[:, rows], strict=True)):
         at = points[data.contact[rows] - np.where(there, lag, 0)]  # to leave out spreads least
         values = np.column_stack([np.ones(len(at)), at, np.sum(at**2, axis=1)])
         for q, value in enumerate((weight[:, None] * values).T):
-            sums[k, 1:, :, q] = np.bincount(cell, value, BLOCKS * t).reshape(BLOCKS, t)
+            sums[k, q, 1:] = np.bincount(cell, value, BLOCKS * t).reshape(BLOCKS, t)
     square = sums_by_group(weight**2, place[data.taxel[rows]], t)
-    sums = np.cumsum(sums, axis=1)
-    return sums, sums[0, -1, :, 0] ** 2 / np.maximum(square, 1e-300)
+    sums = np.cumsum(sums, axis=2)
+    return sums, sums[0, 0, -1] ** 2 / np.maximum(square, 1e-300)
 
 
 def _spread(total: Array) -> Array:
     """Mean squares (..., t) of the contacts' distances from their taxels' means, by sums
-    (..., t, 5)."""
-    weight = np.maximum(total[..., 0], 1e-300)
-    mean = total[..., 1:4] / weight[..., None]
-    return np.asarray(np.maximum(total[..., 4] / weight - np.sum(mean**2, axis=-1), 0.0))
+    (5, ..., t)."""
+    mean = total[1:] / np.maximum(total[0], 1e-300)
+    return np.asarray(np.maximum(mean[3] - np.einsum("i...,i...", mean[:3], mean[:3]), 0.0))
 
 
 def _cost(total: Array, size: Array, floor: float) -> Array:
-    """Negative logarithm of the likelihood, by sums (..., t, 5): each taxel has its own variance,
+    """Negative logarithm of the likelihood, by sums (5, ..., t): each taxel has its own variance,
     of which one that answers at two places has a large one, above a floor."""
     return np.asarray(np.log(_spread(total) + max(floor, 1e-300)) @ size)
 
@@ -97,15 +96,14 @@ def _best_change(
     sums: Array, lags: np.ndarray, size: Array, floor: float
 ) -> tuple[float, int, int, int]:
     """The least cost with another lag of the parts from one to before another, and these."""
-    steps = np.diff(sums, axis=1)[lags, np.arange(BLOCKS)]
-    present = np.concatenate([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
+    steps = np.diff(sums, axis=2)[lags, :, np.arange(BLOCKS)]
+    present = np.zeros_like(sums[0])
+    present[:, 1:] = np.cumsum(steps, axis=0).swapaxes(0, 1)
+    begin, end = np.triu_indices(BLOCKS + 1, LEAST_BLOCKS)
     best = (np.inf, 0, 0, 0)
     for lag, other in enumerate(sums):
-        moved = present[-1] + other - present  # of the parts before each
-        for begin in range(BLOCKS - LEAST_BLOCKS + 1):
-            ends = slice(begin + LEAST_BLOCKS, None)
-            change = moved[ends] - (other - present)[begin]
-            cost = _cost(change, size, floor)
-            k = int(np.argmin(cost))
-            best = min(best, (float(cost[k]), lag, begin, begin + LEAST_BLOCKS + k))
+        change = other - present
+        cost = _cost(present[:, -1:] + change[:, end] - change[:, begin], size, floor)
+        k = int(np.argmin(cost))
+        best = min(best, (float(cost[k]), lag, int(begin[k]), int(end[k])))
     return best

@@ -67,10 +67,14 @@ def test_coarse_readings_of_a_robot_that_holds_still_all_count(seed):
 
 @pytest.mark.parametrize(
     ("noise", "value"),
-    [(None, value) for value in (38, 330, 1e5, 1e95, np.inf, np.nan, -1.0)]
+    [(None, 38), (None, np.nan), (0.01, -1.0)]
     + [
-        pytest.param(0.01, value, marks=[] if value == 38 else pytest.mark.slow)
-        for value in (38, 330, 1e5, 1e95, np.inf, np.nan, -1.0)
+        pytest.param(noise, value, marks=pytest.mark.slow)
+        for noise, kept in (
+            (None, (330, 1e5, 1e95, np.inf, -1.0)),
+            (0.01, (38, 330, 1e5, 1e95, np.inf, np.nan)),
+        )
+        for value in kept
     ],
 )
 def test_one_corrupt_reading_costs_itself(world, recording, sound, noise, value):

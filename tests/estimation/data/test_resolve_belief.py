@@ -38,6 +38,20 @@ def test_the_first_contact_model_that_holds(world, body, thickness, name):
     found = resolve_belief(belief(seen, thickness), recording)
     assert found.contact == name
     assert found.force_reference == pytest.approx(np.median(seen.force))
+
+
+@pytest.mark.parametrize(
+    ("body", "thickness", "name"),
+    [
+        (ms.Body.sphere(0.1), None, "hertz"),
+        pytest.param(ms.Body.ellipsoid((0.1, 0.04, 0.1)), None, "elliptic", marks=pytest.mark.slow),
+        pytest.param(ms.Body.sphere(0.1), 4e-3, "layered", marks=pytest.mark.slow),
+    ],
+)
+def test_a_calibration_takes_the_resolved_belief(world, body, thickness, name):
+    seen = type(world)(extent=9e-3, body=body, model=ContactModel(name, 0.49, thickness))
+    recording = seen.record()
+    found = resolve_belief(belief(seen, thickness), recording)
     positions = ms.calibrate(recording, belief(seen, thickness)).positions
     assert np.array_equal(positions, ms.calibrate(recording, found).positions)
     assert np.nanmax(np.linalg.norm(positions - seen.truth, axis=1)) < 1e-6
@@ -85,22 +99,33 @@ def test_where_no_contact_model_holds(world):
         resolve_belief(soft, seen.record())
 
 
-def test_the_response_is_learned_where_no_contact_model_holds(world):
-    """On skin that is softer than believed, or pressed harder than contact models reach."""
+@pytest.fixture(scope="module")
+def soft(world):
+    """A skin that is softer than believed, or pressed harder than contact models reach: the
+    world, its recording, the belief, and the calibration."""
     seen = type(world)(extent=9e-3, step=1.5e-3, body=ms.Body.sphere(0.1))
     recording = seen.record(sigma=0.01, threshold=0.03)
     material = ms.Material(0.4 * YOUNG, 0.49)
     told = replace(belief(seen, threshold=0.03 * seen.peak_reference), material=material)
+    return seen, recording, told, ms.calibrate(recording, told)
+
+
+def test_the_response_is_learned_where_no_contact_model_holds(soft):
+    seen, recording, told, found = soft
     with pytest.raises(ContactError, match="too wide for the contact model elliptic"):
         gather(recording, told)
-    found = ms.calibrate(recording, told)
     assert found.response is not None
     error = np.linalg.norm(found.positions - seen.truth, axis=1)
     assert np.sqrt(np.mean(error**2)) < 1.25 * np.sqrt(np.mean(found.position_sigma**2)) < 0.05e-3
-    assert (ms.recalibrate(found, recording, told).states == "confirmed").all()
     assert np.isfinite(ms.calibrate(recording, told, method="centroid").positions).all()
     with pytest.raises(CalibrationError, match=r"trilateration needs .* too wide"):
         ms.calibrate(recording, told, method="trilateration")
+
+
+@pytest.mark.slow
+def test_a_map_whose_response_was_learned_is_confirmed(soft):
+    _, recording, told, found = soft
+    assert (ms.recalibrate(found, recording, told).states == "confirmed").all()
 
 
 @pytest.mark.parametrize(

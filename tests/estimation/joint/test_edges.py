@@ -130,7 +130,7 @@ def test_taxels_beside_an_edge_are_where_their_sigma_says(belief, seed):
 
 
 @pytest.mark.parametrize(
-    "contact", ["auto", pytest.param("elliptic", marks=pytest.mark.slow), "layered"]
+    "contact", ["auto", *(pytest.param(c, marks=pytest.mark.slow) for c in ("elliptic", "layered"))]
 )
 def test_taxels_beside_an_edge_under_a_contact_model(belief, contact):
     """None was left out of the estimates that were 18 standard deviations off without a deviation
@@ -146,7 +146,10 @@ def test_taxels_beside_an_edge_under_a_contact_model(belief, contact):
     assert found.position_sigma[far & placed].max() < 0.1e-3
 
 
-@pytest.mark.parametrize("method", ["trilateration", "posegraph", "posegraph_isotropic"])
+@pytest.mark.parametrize(
+    "method",
+    ["trilateration", "posegraph", pytest.param("posegraph_isotropic", marks=pytest.mark.slow)],
+)
 def test_circles_beside_an_edge(belief, method):
     """Residuals of contacts off the edge do not scale the deviations of those over it: the pose
     graphs were 8 and 10 standard deviations off."""
@@ -230,7 +233,8 @@ def test_contacts_mostly_over_an_edge_test_no_contact_model(belief):
     assert chosen.response is not None
 
 
-@pytest.mark.parametrize("reference", [pytest.param(None, marks=pytest.mark.slow), 0.5])
+@pytest.mark.slow
+@pytest.mark.parametrize("reference", [None, 0.5])
 def test_the_online_estimate_weighs_contacts_over_edges_as_the_batch_estimate(belief, reference):
     believed = contact_model(belief, "elliptic").with_(
         force_reference=reference, noise_sigma=2e3, threshold=6e3
@@ -245,7 +249,8 @@ def test_the_online_estimate_weighs_contacts_over_edges_as_the_batch_estimate(be
     assert apart[both].max() < 0.05
 
 
-@pytest.mark.parametrize("method", [pytest.param("joint", marks=pytest.mark.slow), "trilateration"])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["joint", "trilateration"])
 def test_many_contacts_over_an_edge_do_not_average_the_error_of_the_model(belief, method):
     """Taken as independent, these errors had standard deviations of 0.5 and 0.3 of their size."""
     found = ms.calibrate(recording(1, 1000), contact_model(belief, "elliptic"), method=method)
@@ -291,6 +296,7 @@ def rippled():
     return scene, ms.simulate(scene, seed=1)
 
 
+@pytest.mark.slow
 def test_readings_over_edges_do_not_make_others_outlying(rippled):
     """Residuals of the readings over the ripples are small beside the deviation that these are
     given."""
@@ -300,6 +306,7 @@ def test_readings_over_edges_do_not_make_others_outlying(rippled):
     assert found.fit.noise == pytest.approx(scene.belief().noise_sigma, rel=0.15)
 
 
+@pytest.mark.slow
 def test_edges_that_cause_no_misfit_cost_nothing(rippled):
     """Weighed by the heights there, the error was 1.51 times the bound."""
     scene, recorded = rippled

@@ -69,15 +69,22 @@ def test_an_indenter_deeper_than_its_radius_is_refused(small):
         calibrate_log(small.log, raised, belief(small))
 
 
-def test_a_small_exploration(small, monkeypatch):
+@pytest.fixture(scope="module")
+def explored(small):
+    """The calibration of the small exploration, and the clocks that its rounds began with."""
     clocks = []
 
     def spied(log, offset):
         clocks.append(offset)
         return at_clock(log, offset)
 
-    monkeypatch.setattr("meshskin.estimation.kinematics.calibrate_log.at_clock", spied)
-    found = calibrate_log(small.log, small.kinematics(**KNOWN), belief(small))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("meshskin.estimation.kinematics.calibrate_log.at_clock", spied)
+        return calibrate_log(small.log, small.kinematics(**KNOWN), belief(small)), clocks
+
+
+def test_a_small_exploration(small, explored):
+    found, clocks = explored
     assert clocks[-1] == pytest.approx(CLOCK, abs=0.01)  # contacts are chosen where they happened
     check(small, found, 1.2)
     assert found.rounds <= 3
@@ -100,7 +107,12 @@ def test_a_small_exploration(small, monkeypatch):
     values = found.calibration.parameter_values
     assert values["joint_offset joint4"][2] == "rad"
     assert values["clock_offset"][1:] == (found.unknowns["clock_offset"][1], "s")
-    # the same counts with the contacts as computed from the true angles' offsets and clock
+
+
+@pytest.mark.slow
+def test_contacts_of_a_small_exploration_are_where_they_happened(small, explored):
+    """The same counts with the contacts as computed from the true angles' offsets and clock."""
+    found, _ = explored
     frames = contact_frames(small.log)
     frames = frames[np.isin(small.log.time[frames], found.recording.time)]
     assert len(frames) > 440  # but for those in the gap between two passes, and averaged ones
@@ -307,6 +319,7 @@ def test_heights_alone_find_the_joints(small):
     np.testing.assert_allclose(fit.root @ fit.root.T, fit.covariance, atol=1e-18)
 
 
+@pytest.mark.slow
 def test_heights_of_a_stroke_share_the_error_of_its_force(small):
     """Where the force of each stroke is wrong, offsets of joints are farther off, in their standard
     deviations, if contacts are taken for touches of their own. Those with strokes are too small,

@@ -133,7 +133,7 @@ def test_rivals_are_sought_of_an_estimate_that_has_come_to_rest(monkeypatch, end
     monkeypatch.setattr(estimate, "first_estimate", unsettled)
     monkeypatch.setattr(estimate, "with_departures", lambda effects, *_: (effects, {}, ended))
     monkeypatch.setattr(estimate, "resolve_rivals", resolve)
-    calibrate(recording(*world(bell, contacts=300)), belief(contact="learned"))
+    calibrate(recording(*world(bell, contacts=150)), belief(contact="learned"))
     assert bool(sought) is ended
 
 

@@ -214,13 +214,14 @@ def test_errors_of_edges_that_share_readings_are_correlated(drawn):
     assert np.mean(alike) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "threshold", "method"),
     [
-        pytest.param(0.02, 0.0, "posegraph", marks=pytest.mark.slow),
+        (0.02, 0.0, "posegraph"),
         (0.01, 0.05, "posegraph_isotropic"),
-        pytest.param(0.02, 0.0, "posegraph_isotropic", marks=pytest.mark.slow),
-        pytest.param(0.01, 0.05, "posegraph", marks=pytest.mark.slow),
+        (0.02, 0.0, "posegraph_isotropic"),
+        (0.01, 0.05, "posegraph"),
     ],
 )
 def test_nees_of_the_pose_graph(world, noise, threshold, method):
