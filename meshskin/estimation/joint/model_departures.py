@@ -66,7 +66,7 @@ class ModelDepartures:
         words += [ALIKE_CONTACTS] if by_fields.any() else []
         added = larger(by_errors, by_fields)
         for name, effects in ((HELD_LAGS, held_lags), (SHIFTED, shifted_patches)):
-            held = effects(self.fitted).held()
+            held = effects(self.fitted)
             words += [name] if held.score > NAMED else []
             added = added + held.covariances
         return added, words
