@@ -40,7 +40,7 @@ def rms(found, world):
 @pytest.mark.parametrize(
     ("name", "seeds"),
     [
-        ("layered", 3),
+        ("layered", 6),
         *(pytest.param(name, 20, marks=pytest.mark.slow) for name in MODELS),
     ],
 )

@@ -133,9 +133,9 @@ def test_a_body_far_from_its_origin_turns_about_its_middle(sphere):
     box = trimesh.creation.box((0.05, 0.04, 0.03))
     scene = sphere.with_(
         body=Body.from_mesh(box),
-        skin=Skin.cover(Body.from_mesh(box), spacing=16e-3, seed=1),
+        skin=Skin.cover(Body.from_mesh(box), spacing=12e-3, seed=1),
         loop=replace(sphere.loop, mode="quasi_static"),
-        exploration=replace(sphere.exploration, pattern="lanes", lane_spacing=16e-3),
+        exploration=replace(sphere.exploration, pattern="lanes", lane_spacing=8e-3),
     )
     path = plan_exploration(scene).path
 

@@ -49,7 +49,7 @@ def many(world, seeds, sigma=0.01):
 
 
 def test_reaches_the_bound_with_consistent_covariance(world):
-    seeds = 3
+    seeds = 6
     ratio, normalized = many(world, seeds)
     # The mean of n errors, each Rayleigh-like, scatters by 0.52 / sqrt(n) of itself.
     assert abs(ratio.mean() - 1) < 4 * 0.52 / np.sqrt(seeds * len(world.truth))

@@ -98,7 +98,7 @@ def test_the_score_does_not_depend_on_the_scale_of_the_noise():
 )
 def test_the_covariances_hold_the_errors(kind, where):
     square, stated = [], []
-    for seed in range(2):
+    for seed in range(4):
         rng = np.random.default_rng(seed)
         found, wrong = fitted(rng, wandering(rng) if kind == "time" else process(rng, -1))
         shared = shared_errors(found)
