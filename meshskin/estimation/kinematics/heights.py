@@ -61,7 +61,8 @@ EXPONENT = 0.2
 incompressible layer (Johnson, "Contact Mechanics" (1985), sections 4.2, 4.3, 5.8) are within two.
 """
 FLATNESS = 3**-0.5
-"""Standard deviation of the part l of the height over the faces, which lies between 0 and 1."""
+"""Standard deviation of the part l of the height over the faces: that about 0, the smooth surface,
+where l is uniform between 0 and 1."""
 SURFACE = np.array([LOG_DEPTH, EXPONENT, FLATNESS])
 """Standard deviations of k, e, l: the last entries of x."""
 

@@ -17,7 +17,7 @@ from ...recording.recording import Recording
 from ...robot.contact_kinematics import ContactKinematics
 from ..calibration import Calibration
 from .joint_residuals import JointResidual
-from .pulled import contradicted
+from .pulled import CONTRADICTED, contradicted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
     from ...robot.robot import Robot
 
-CONTRADICTED = 3.5
-"""Standard deviations before any measurement beyond which an unknown contradicts what was believed:
-one of 20 sound ones is with a probability of 1 %."""
 MIN_CHANCE = 0.01
 """Probability of all unknowns together, under what was believed of them, from which they contradict
 it: about that of one beyond CONTRADICTED."""

@@ -6,7 +6,7 @@ s0 (K,) and C (K, K) are the unknowns by the heights of the contacts and by what
 them. The readings may move the contacts along the body, as errors of forces and of the skin's
 response that are alike over it look like such a motion. Where the pull is larger than chance
 explains, no data tell which of the two is right: d is an error of the unknowns, and displaces all
-taxels. Its share in their variances rises from 0 at a pull of USUAL to 1 at FARTHEST.
+taxels. Its share in their variances rises from 0 at a pull of USUAL to 1 at CONTRADICTED.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from ..uncertainty.observability import shape_operators
 
 USUAL = 2.5
 """Pull up to which nothing is widened: sound logs had up to 2.1."""
-FARTHEST = 3.5
-"""Standard deviations before the readings beyond which they contradict what was known: one of 20
-sound unknowns is with a probability of 1 %."""
+CONTRADICTED = 3.5
+"""Standard deviations before a measurement beyond which an unknown contradicts what was known: one
+of 20 sound unknowns is with a probability of 1 %."""
 
 
 def pulls(calibration: Calibration) -> tuple[Array, Array]:
@@ -42,10 +42,10 @@ def contradicted(calibration: Calibration) -> tuple[str, ...]:
     return tuple(
         f"the readings move {label} by {d:.3g}, {abs(d) / sigma:.2g} times the standard deviation "
         f"of {sigma:.3g} that the heights of the contacts and the belief leave to it (limit "
-        f"{FARTHEST:g}): the displacement of the taxels by it is in their standard deviations; "
+        f"{CONTRADICTED:g}): the displacement of the taxels by it is in their standard deviations; "
         "record forces, or more contacts in other postures"
         for label, d, sigma in zip(_motion(calibration).labels, *pulls(calibration), strict=True)
-        if abs(d) > FARTHEST * sigma
+        if abs(d) > CONTRADICTED * sigma
     )
 
 
@@ -56,7 +56,7 @@ def widened(calibration: Calibration, recording: Recording) -> Calibration:
     A taxel is displaced as its contacts are in the mean, weighted by its readings.
     """
     d, before = pulls(calibration)
-    share = np.clip((np.max(np.abs(d) / before) - USUAL) / (FARTHEST - USUAL), 0.0, 1.0)
+    share = np.clip((np.max(np.abs(d) / before) - USUAL) / (CONTRADICTED - USUAL), 0.0, 1.0)
     if not share:
         return calibration
     d = d * np.sqrt(share)

@@ -8,7 +8,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.se3 import hat
-from meshskin.estimation.kinematics.pulled import FARTHEST, USUAL, contradicted, pulls, widened
+from meshskin.estimation.kinematics.pulled import CONTRADICTED, USUAL, contradicted, pulls, widened
 from meshskin.scene.contact_motion import ContactMotion
 
 AXIS = np.array([0.6, 0.0, 0.8])
@@ -51,7 +51,7 @@ def test_an_unknown_that_the_readings_move_by_chance_widens_nothing(world):
 
 
 def test_a_pull_between_chance_and_contradiction_displaces_the_taxels_by_its_share(world):
-    far, pull = turned(world, 1.001 * FARTHEST * 0.01, 0.0), (USUAL + FARTHEST) / 2
+    far, pull = turned(world, 1.001 * CONTRADICTED * 0.01, 0.0), (USUAL + CONTRADICTED) / 2
     found = turned(world, pull * 0.01, 0.0)
     assert contradicted(found) == ()
     assert contradicted(far) != ()
@@ -60,7 +60,7 @@ def test_a_pull_between_chance_and_contradiction_displaces_the_taxels_by_its_sha
         widened(one, world.recording).covariances[known] - one.covariances[known]
         for one in (found, far)
     )
-    np.testing.assert_allclose(added, most * (pull / FARTHEST) ** 2 / 2, rtol=5e-3, atol=1e-15)
+    np.testing.assert_allclose(added, most * (pull / CONTRADICTED) ** 2 / 2, rtol=5e-3, atol=1e-15)
     value, sigma = widened(found, world.recording).unknowns["joint_offset a"]
     assert (value, sigma) == (
         pytest.approx(0.1 + pull * 0.01),
