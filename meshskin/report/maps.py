@@ -265,7 +265,7 @@ def uncertainty(data: ReportData) -> Figure:
     xy, sigma, heading = xy[good], sigma[good], heading[good]
     factor, short = drawn_scale(sigma[:, 0], 0.35 * pitch(p) * MM)
     reach = (factor * short * sigma[:, 0])[:, None]
-    figure = theme.new_figure(6.6, 6.1)
+    figure = theme.new_figure(7.2, 6.1)
     axes = _map_axes(figure, np.concatenate([xy - reach, xy + reach]), 0.65, 0.6, 5.0)
     edges = np.where(short < 1.0, theme.WARNING, "none")
     style: dict[str, Any] = {
@@ -279,8 +279,7 @@ def uncertainty(data: ReportData) -> Figure:
     largest, median = float(np.max(sigma, initial=1e-12)), float(np.median([*sigma[:, 0], 1e-12]))
     ellipses.set_clim(0, min(largest, max(SATURATION * median, 1e-12)))
     beyond = "" if largest <= SATURATION * median else f"; up to {significant(largest)}"
-    bar = theme.color_bar(figure, ellipses, axes, f"largest 1-sigma along the skin (mm){beyond}")
-    bar.formatter.set_powerlimits((-3, 4))
+    theme.color_bar(figure, ellipses, axes, f"largest 1-sigma along the skin (mm){beyond}")
     label = f"1 sigma along the skin × {grouped(factor)}"
     handles = [_handle(label, **DOT, color=theme.MUTED, ms=7)]
     if cut := int(np.sum(short < 1.0)):

@@ -112,14 +112,16 @@ def log_ticks(
 
 def color_bar(figure: Figure, artist: Any, axes: Axes, label: str) -> Any:
     """A thin colour bar to the right of `axes`."""
-    from matplotlib.ticker import ScalarFormatter
+    from matplotlib.ticker import FuncFormatter, MaxNLocator, ScalarFormatter
 
     box = axes.get_position()
     w = figure.get_size_inches()[0]
     bar = figure.add_axes((box.x1 + 0.12 / w, box.y0, 0.12 / w, box.height))
     made = figure.colorbar(artist, cax=bar, label=label)
     if isinstance(made.formatter, ScalarFormatter):
-        made.formatter.set_scientific(False)  # a power of ten above the bar is overlooked
+        # a power of ten above the bar is overlooked, and zeros after the point are cut off
+        made.locator = MaxNLocator(6, steps=[1, 2, 5, 10])
+        made.formatter = FuncFormatter(lambda x, _: compact(x))
     bar.spines["outline"].set_visible(False)
     return made
 

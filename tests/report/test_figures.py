@@ -417,11 +417,13 @@ def test_residuals_are_drawn_in_units_of_the_median_taxel_s(case):
     assert len(alone.axes) == 2
 
 
-def test_the_numbers_of_a_color_bar_are_plain() -> None:
-    """A power of ten above the bar is overlooked."""
+@pytest.mark.parametrize(("scale", "number"), [(1.0, "0.002"), (1e-6, "2 × 10⁻⁹")])
+def test_the_numbers_of_a_color_bar_are_plain(scale: float, number: str) -> None:
+    """A power of ten above the bar is overlooked, and zeros after the point are cut off."""
     figure = theme.new_figure(4.0, 3.0)
     axes = theme.add_axes(figure, 0.5, 0.5, 2.0, 2.0)
-    bar = theme.color_bar(figure, axes.imshow([[1e-3, 6e-3]]), axes, "sigma (mm)")
+    values = axes.imshow([[scale * 1e-3, scale * 6e-3]])
+    bar = theme.color_bar(figure, values, axes, "sigma (mm)")
     figure.draw_without_rendering()
     assert bar.ax.yaxis.get_offset_text().get_text() == ""
-    assert "0.002" in [text.get_text() for text in bar.ax.get_yticklabels()]
+    assert number in [text.get_text() for text in bar.ax.get_yticklabels()]
