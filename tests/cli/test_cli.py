@@ -284,6 +284,7 @@ def test_a_budget_that_nothing_resolves_is_refused_at_once(tmp_path, capsys):
     assert not out.exists()
 
 
+@pytest.mark.deep
 def test_what_an_earlier_run_found_is_not_left_beside_another_recording(tmp_path, monkeypatch):
     from meshskin.core.errors import CalibrationError
 

@@ -86,6 +86,7 @@ def test_a_damaged_library_is_rebuilt(cache, damage):
     assert module.content_hash(rebuilt.read_bytes()) == rebuilt.stem
 
 
+@pytest.mark.deep
 @needs_compiler
 def test_of_several_processes_at_once_one_compiles(cache, monkeypatch, tmp_path):
     compiler, calls = tmp_path / "cc", tmp_path / "calls"

@@ -65,6 +65,7 @@ def table(recording):
     return dict(zip(keys, recording.pressure, strict=True))
 
 
+@pytest.mark.deep
 def test_modules_of_effects_that_are_off_are_not_imported():
     code = (
         "import sys, meshskin as ms; from meshskin import effects; "
@@ -87,6 +88,7 @@ def test_effects_switched_off_again_leave_the_recording_bit_for_bit(small, plain
         assert getattr(again, table_of).equals(getattr(plain, table_of))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", RECORDED)
 def test_effects_on_recorded_contacts_leave_the_readings_bit_for_bit(name, one, plain):
     other = one(name)
@@ -111,6 +113,7 @@ def quiet_and_noisy(small):
     return scenes, [table(ms.simulate(scene, seed=1)) for scene in scenes]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", [k for k in DRAWING if k != "gaussian_noise"])
 def test_switching_an_effect_leaves_the_noise_of_another(name, small, quiet_and_noisy):
     """The noise is the difference of the readings of the scenes with and without noise."""
@@ -192,6 +195,7 @@ def calibrated(small, plain):
     return ms.calibrate(plain, small.belief()).positions
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", [k for k in effects.NAMES if k not in IDLE])
 def test_ignoring_an_effect_shifts_taxels_by_less_than_its_bound(name, small, one, calibrated):
     """The shift of the joint estimate that ignores the effect; broken taxels may be missing."""

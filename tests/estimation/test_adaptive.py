@@ -39,6 +39,7 @@ def errors(found, scene):
     return np.linalg.norm(found.calibration.positions - scene.skin.positions, axis=1)
 
 
+@pytest.mark.deep
 def test_every_taxel_comes_below_the_target_in_few_contacts(scene):
     found = adapt(scene, TARGET, seed=3)
     assert found.unmet == {}

@@ -73,6 +73,7 @@ def test_ideal_readings(worlds, name):
     assert found.modulus == pytest.approx(world.modulus, rel=2e-5)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", FIRST)
 def test_a_softer_belief(worlds, name):
     world = worlds[name]
@@ -136,6 +137,7 @@ def test_indenter_offset(worlds):
         assert abs(value - truth) < 4 * sigma
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", FIRST)
 @pytest.mark.parametrize("method", ["posegraph", "posegraph_paper", "three_circles"])
 def test_the_paper_s_methods(worlds, name, method):
@@ -179,6 +181,7 @@ def test_silent_pairs_include_all_informative_ones(worlds, name):
     assert looked.issuperset(telling.tolist())
 
 
+@pytest.mark.deep
 def test_an_estimate_outside_the_model_is_refused(world):
     """The nominal E* is within the table of layered; the true one, far softer, is not."""
     thin = type(world)(extent=9e-3, model=ContactModel("layered", 0.49, 0.6e-3), young=1e6)

@@ -122,6 +122,7 @@ def test_a_learned_response_localizes_raw_readings():
     assert found == pytest.approx(normal, abs=0.2)
 
 
+@pytest.mark.deep
 def test_held_out_contacts_do_not_calibrate(physical, monkeypatch):
     recording, calibration, found = physical
     parts = []

@@ -57,6 +57,7 @@ def test_the_list_says_where_the_indenter_is_pressed_on_a_sphere(scene, plan):
     assert table.column("force").to_pylist() == [scene.law.force_reference] * len(point)
 
 
+@pytest.mark.deep
 def test_every_pose_of_the_list_has_its_force_whatever_the_curvature():
     body = ms.Body.ellipsoid((0.09, 0.045, 0.045))
     scene = ms.Scene(

@@ -37,6 +37,7 @@ def test_a_small_cap_is_turned_within_the_joint_limits(sphere, radius, count, sp
     assert np.ptp(q[:, 5]) > np.pi  # a full turn of the azimuth is the last joint's to make
 
 
+@pytest.mark.deep
 def test_a_half_ball_is_explored_in_lanes_where_the_arm_cannot_turn_its_parallels(sphere):
     scene = capped(sphere, 0.02, 37, 6.5e-3)
     plan = plan_exploration(scene)

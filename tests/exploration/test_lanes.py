@@ -124,6 +124,7 @@ def test_the_region_of_sparse_taxels_ends_where_none_feels_a_contact():
     assert radius(50e-3) == pytest.approx(7.5e-3)
 
 
+@pytest.mark.deep
 def test_the_lanes_of_sparse_taxels_skip_what_is_between_them():
     body = Body.capsule(0.03, 0.2)
     sites = Skin.cover(body, spacing=30e-3).positions

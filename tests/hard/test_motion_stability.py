@@ -185,6 +185,7 @@ def test_the_run_itself_keeps_the_error_that_is_stated(sphere, integrator):
     assert found["cvodes"][-1] == pytest.approx(3.0, abs=0.01)
 
 
+@pytest.mark.deep
 def test_delayed_readings_are_as_old_in_shorter_steps(sphere):
     """Half as long steps, twice as many readings on their way: nearly the same forces."""
     scene = sphere.with_(
@@ -227,6 +228,7 @@ def test_a_loop_that_no_step_can_save_is_named(place, monkeypatch):
         stability.stable_limit(simulator, simulator.state[:6], track.references[0], 1e-3)
 
 
+@pytest.mark.deep
 def test_convergence_orders(place):
     """Error of the state after 16 ms in contact against CVODES, over the step: slopes 1, 1, 4."""
     law = Law(approach_speed=1.0, force_reference=3.0)  # no limit is met: the field is smooth

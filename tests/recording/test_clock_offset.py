@@ -81,6 +81,7 @@ def test_the_noise_of_taxels_that_are_not_pressed_is_no_slide():
     assert abs(found.offset - 0.037) < 4 * found.sigma < 0.02
 
 
+@pytest.mark.deep
 def test_strokes_over_the_skin_tell_nothing():
     """Other taxels answer at their end than at their onset, as strongly as it happens."""
     for seed in range(10):

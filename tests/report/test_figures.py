@@ -32,6 +32,7 @@ def texts(figure: object) -> str:
     return " | ".join(t.get_text() for t in figure.findobj(matplotlib.text.Text))  # type: ignore[attr-defined]
 
 
+@pytest.mark.deep
 def test_importing_the_report_imports_no_plotting_library() -> None:
     code = (
         "import sys, meshskin.report, meshskin.report.page, meshskin.report.figure_set\n"

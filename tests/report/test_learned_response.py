@@ -81,6 +81,7 @@ def test_errors_over_edges_are_described_where_contacts_tell_them():
     assert "over edges" not in " ".join(told[1].describe())
 
 
+@pytest.mark.deep
 def test_a_page_says_what_was_learned(case, tmp_path):
     c = replace(case.calibration(), response=response(5e-3), modulus=None, modulus_sigma=None)
     c = replace(c, unknowns={"modulus": (0.05, 0.02), "modulus of group 2": (0.3, 0.01)})

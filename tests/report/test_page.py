@@ -219,6 +219,7 @@ def test_the_view_holds_truth_estimates_frames_and_ellipsoids(
     assert len(base64.b64decode(mesh["i"]["bdata"])) // 4 <= 5000
 
 
+@pytest.mark.deep
 def test_without_truth_the_stated_uncertainty_is_given(
     case: SimpleNamespace, tmp_path: Path, body: Body
 ) -> None:
@@ -240,6 +241,7 @@ def test_without_truth_the_stated_uncertainty_is_given(
     assert not {"errors.svg", "fig5_estimates.svg"} & names
 
 
+@pytest.mark.deep
 def test_residuals_have_a_map_where_there_is_no_truth(
     case: SimpleNamespace, tmp_path: Path, body: Body, full: Written
 ) -> None:
@@ -280,6 +282,7 @@ def test_held_out_contacts_have_a_section(case: SimpleNamespace, tmp_path: Path)
     assert "-2.25 per reading" in text.replace("\N{MINUS SIGN}", "-")
 
 
+@pytest.mark.deep
 def test_a_calibration_alone_is_enough(case: SimpleNamespace, tmp_path: Path) -> None:
     c = case.calibration()
     files = page.report(tmp_path / "report.html", body=None, calibration=c)
@@ -323,6 +326,7 @@ def test_every_method_has_its_own_color() -> None:
     assert len({*theme.METHOD_COLOURS.values(), theme.WARNING}) == len(theme.METHOD_COLOURS) + 1
 
 
+@pytest.mark.deep
 def test_a_skin_that_was_never_touched_has_a_page(
     case: SimpleNamespace, tmp_path: Path, body: Body
 ) -> None:

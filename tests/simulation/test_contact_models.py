@@ -63,6 +63,7 @@ def test_auto_takes_the_first_model_that_holds():
         sphere.with_(contact="eliptic").model  # noqa: B018
 
 
+@pytest.mark.deep
 def test_a_model_that_does_not_hold_is_refused_or_its_places_left_out():
     sphere = ms.Scene.load("sphere")
     soft = sphere.with_(material=replace(sphere.material, young=2e4))

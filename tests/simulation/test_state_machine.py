@@ -276,6 +276,7 @@ def test_an_indenter_that_is_not_there_is_named(prepared, track):
         list(ExplorationStateMachine(simulator, [track], SETTINGS).run())
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("surface", ["sphere", "exact"])
 def test_either_surface_of_the_law_holds_the_force_on_an_ellipsoid(sphere, surface):
     body = ms.Body.ellipsoid((0.11, 0.1, 0.08))

@@ -60,6 +60,7 @@ def test_the_compensated_law_reaches_its_reference(arm, body):
     assert column(loop, block, "force")[-1, 0] == pytest.approx(3.0, abs=1e-6)
 
 
+@pytest.mark.deep
 def test_the_printed_law_leaves_its_steady_error(arm, body):
     """e / F = k_t n^T J L^-1 J^T n / gamma, with k_t the tangent stiffness at the settled depth."""
     law = Law(torque="paper", shape="identity", gain=1000.0, gamma=20.0)

@@ -273,6 +273,7 @@ def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, tr
     assert len(named) == len(truth)
 
 
+@pytest.mark.deep
 def test_taxels_that_are_read_one_after_another(study, worlds):
     """One spiral passes most taxels in one direction: only those in its middle tell how far."""
     from worlds import sphere
@@ -443,6 +444,7 @@ def test_sigma_holds_beside_an_edge(study, tmp_path):
     assert row["joint_mm"] < row["centroid_mm"]
 
 
+@pytest.mark.deep
 def test_the_table(study, tmp_path, capsys):
     asked = ["--worlds", "scatter_03", "counts", "--seeds", "1", "--out", str(tmp_path)]
     found = study.main([*asked, "--methods", "three_circles", "hertz"])
@@ -561,6 +563,7 @@ def test_pins_are_springs_in_parallel():
         np.testing.assert_allclose(found[row], expected, atol=0.02 * force)
 
 
+@pytest.mark.deep
 def test_a_hydroelastic_body_is_springs_under_a_sphere():
     """E over the radius is the stiffness k; F = pi R k d^2 but for the second order in the depth d
     over the radius of the indenter, and for facets."""

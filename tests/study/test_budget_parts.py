@@ -77,6 +77,7 @@ def test_a_displaced_body_moves_the_taxels_as_its_feet_move(small, replay, solve
     np.testing.assert_allclose(shift, along * 0.1 / (0.1 + height), atol=0.03 * offset)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "effect",
     [IndenterOffset((5e-5, 3e-5, 0.0)), GainOffset(0.005, 0.0), Relaxation(0.99)],
@@ -230,6 +231,7 @@ def knobs(scene):
     return {k.name: k for k in scene_knobs(scene, mesh_bodies(scene), 10_000, 1_000.0)}
 
 
+@pytest.mark.deep
 def test_levels_of_knobs_are_ordered_from_cheap_to_fine(small):
     found = knobs(small)
     assert set(found) == {"contact model", "mesh", "time step"}

@@ -134,6 +134,7 @@ def middle_first(world, recording):
     return np.concatenate([np.tile(np.argsort(apart)[:60], 50), np.arange(len(apart))])
 
 
+@pytest.mark.deep
 def test_a_level_at_rest_is_not_stuck(world, recording):
     assert not len(corrupt(world, counted(world, recording, middle_first(world, recording))))
 
@@ -172,6 +173,7 @@ def with_readings(recording, contact, taxel, pressure):
     return replace(recording, readings=table)
 
 
+@pytest.mark.deep
 def test_spikes_cost_themselves(world, recording):
     """Interference: 1 of 200 readings is of a taxel that nothing touches."""
     rng, belief = np.random.default_rng(2), world.belief(None, 0.05)

@@ -47,6 +47,7 @@ def rms(found, scene):
     return np.sqrt(np.nanmean(np.sum((found.positions - scene.skin.positions) ** 2, axis=1)))
 
 
+@pytest.mark.deep
 def test_an_indenter_offset_is_estimated_by_default(displaced, noisy):
     recording, belief = displaced
     found = calibrate(recording, belief)
@@ -60,6 +61,7 @@ def test_an_indenter_offset_is_estimated_by_default(displaced, noisy):
     assert np.nanmax(np.sqrt(found.covariances[:, 2, 2])) < 0.1e-3
 
 
+@pytest.mark.deep
 def test_it_is_named_where_the_contact_model_is_fixed(displaced):
     recording, belief = displaced
     found = calibrate(recording, replace(belief, contact="hertz"))

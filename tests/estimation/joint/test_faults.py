@@ -207,6 +207,7 @@ def test_a_taxel_that_drifts(world, clean, change):
     assert others(position_errors(found, world.skin), [11], reference) < 1.05
 
 
+@pytest.mark.deep
 def test_a_wrong_model_gives_no_faults(world, clean):
     found = calibrate(clean[0], world.belief(0.01, 0.05, young=0.8 * world.young, unknown=()))
     assert not found.fit.good
@@ -289,6 +290,7 @@ def test_readings_just_beyond_the_noise_are_outlying(world, clean, change):
     assert position_errors(found, world.skin)[18] < 4 * found.position_sigma[18]
 
 
+@pytest.mark.deep
 def test_no_more_than_a_third_of_the_readings_is_called_outlying(world, change):
     """The median breaks down at one half; before, outliers are judged by most residuals' scale."""
     world = type(world)(extent=10e-3)

@@ -102,6 +102,7 @@ def on_a_capsule():
     )  # fmt: skip
 
 
+@pytest.mark.deep
 def test_contacts_that_drift_by_1_mm_on_the_surface():
     """Each taxel is touched within a short time and moves with its contacts, which lie on the
     surface: neither residuals nor distances show it, the response misfits by 1 %."""

@@ -73,6 +73,7 @@ def process(rng, mirrored):
     return errors
 
 
+@pytest.mark.deep
 def test_independent_errors_have_no_score():
     scores = [shared_errors(fitted(np.random.default_rng(k))[0]).score for k in range(8)]
     assert np.abs(np.mean(scores)) < 1.5  # the largest of six

@@ -59,6 +59,7 @@ def test_a_taxel_touched_along_a_line_has_a_rival_at_its_mirror_image(line):
     assert "second position" in calibration.faults[far]
 
 
+@pytest.mark.deep
 def test_the_likelier_of_two_optima_is_the_estimate(line):
     """The odds are the difference of the costs at both optima, from whichever it starts."""
     scene, calibration, far = line
@@ -88,6 +89,7 @@ def test_no_taxel_is_confidently_wrong(line):
     assert not np.any((error > 0.3e-3) & (error > 5 * calibration.position_sigma))
 
 
+@pytest.mark.deep
 def test_taxels_among_their_contacts_have_no_rivals(noisy, noisy_recording):
     calibration = ms.calibrate(noisy_recording, noisy.belief())
     assert not np.isfinite(calibration.rivals).any()

@@ -60,6 +60,7 @@ def test_one_taxel_of_twice_the_gain(world):
     assert position_errors(found, world.skin)[7] < 60e-6
 
 
+@pytest.mark.deep
 def test_faulty_taxels_among_taxels_of_different_gain_are_named(world):
     bad = [9, 18, 20]
 
@@ -83,6 +84,7 @@ def test_sound_taxels_of_equal_gain_get_no_gains(world):
     assert not any("undeclared" in words for words in found.factors)
 
 
+@pytest.mark.deep
 def test_gains_that_do_not_converge_are_dropped(world, monkeypatch):
     recording = record(world, spread(world))
     converge = JointEstimator.converge

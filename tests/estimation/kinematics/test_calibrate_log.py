@@ -373,6 +373,7 @@ def test_pressures_and_forces_under_the_contact_model(small):
     assert abs(value) < 4 * sigma
 
 
+@pytest.mark.deep
 def test_bad_logs_are_refused_in_one_line(small):
     model, log = small.kinematics(**KNOWN), small.log
     renamed = replace(log, joint_names=("elbow", *log.joint_names[1:]))

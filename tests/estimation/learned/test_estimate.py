@@ -171,6 +171,7 @@ def test_a_recording_without_a_force_is_refused(readings):
         calibrate(recording(points, 0 * force, *found), belief(readings=readings))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("groups", [(), (range(5, 12), [0, 20])])
 def test_every_derivative_of_the_learned_response(groups):
     known = belief(contact="learned", response_groups=groups)
@@ -268,6 +269,7 @@ def test_noise_does_not_fall_before_its_share_in_the_residuals_is_known(monkeypa
     assert noise[-1] < noise[0]
 
 
+@pytest.mark.deep
 def test_noise_that_grows_with_the_reading_comes_to_rest():
     """Its constant part and the other one grew in turn."""
 
@@ -296,6 +298,7 @@ def test_gains_that_rise_and_fall_during_the_recording(seed):
     assert 0.8 < stated / rms < 1.25
 
 
+@pytest.mark.deep
 def test_scatter_of_the_contact_points_is_found():
     log = recording(*world(hertz, scatter=0.3e-3))
     learned = calibrate(log, belief())
@@ -354,6 +357,7 @@ def test_forces_recorded_as_constant_are_mended():
     assert "the force is constant" in found.verdict.reasons[0]
 
 
+@pytest.mark.deep
 def test_ovals_do_not_pass_for_lags_of_single_taxels():
     """A skin on an ellipsoid whose patches are 3 % longer than wide, which spirals cross."""
     body, count = Body.ellipsoid((0.08, 0.08, 0.1)), 500
@@ -371,6 +375,7 @@ def test_ovals_do_not_pass_for_lags_of_single_taxels():
     assert str(found.verdict.level) == "PASS"
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("unit", [1.0, 1e-3])
 def test_corrupt_and_stuck_taxels_of_a_learned_response_are_named(unit):
     """unit: of the readings, Pa; another than 1 Pa is believed to be raw."""
@@ -413,6 +418,7 @@ def test_compression_is_told_from_the_profile_where_forces_vary():
     assert 0.75 < np.divide(*errors(learned)[::-1]) < 1.35
 
 
+@pytest.mark.deep
 def test_the_noise_on_a_smooth_body_is_no_error_over_edges():
     """A sphere departs from its quadrics, by nearly as much in all contacts."""
     found = calibrate(recording(*world(hertz, noise=0.02)), belief(contact="learned"))
@@ -485,6 +491,7 @@ def test_few_contacts_leave_the_model():
     assert np.sum(square["auto"]) < 1.1**2 * np.sum(square["hertz"])
 
 
+@pytest.mark.deep
 def test_few_readings_of_each_taxel_are_named():
     found = calibrate(recording(*world(hertz, contacts=60)), belief(contact="learned"))
     assert np.median(found.readings) < 10
@@ -501,6 +508,7 @@ def test_a_response_is_saved_with_its_calibration(bell_shaped, tmp_path):
     assert again.unknowns == found.unknowns
 
 
+@pytest.mark.deep
 def test_contact_errors_that_vary_slowly_are_no_scatter():
     """A kinematic error: neighbouring contacts are off alike, whatever the path's order."""
     points, force, contact, taxel, level = world(hertz)

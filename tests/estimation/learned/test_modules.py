@@ -94,6 +94,7 @@ def clean():
     return calibrated()
 
 
+@pytest.mark.deep
 def test_modules_are_turned_and_placed_better_than_single_taxels(clean):
     found, truth, rotations = clean
     alone, _, _ = calibrated(layout=None)
@@ -116,6 +117,7 @@ def test_a_dead_taxel_follows_and_exchanged_ones_are_named():
     assert sum("from its place" in fault for fault in found.faults) == 2
 
 
+@pytest.mark.deep
 def test_a_module_without_readings_has_no_place_and_the_others_have():
     silent = np.arange(len(TAXELS))
     found, truth, _ = calibrated(dead=silent)

@@ -39,6 +39,7 @@ def cost(graph, poses, objective):
     return 0.5 * float(np.einsum("ea,eab,eb->", e, graph.information, e))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", OPTIMA)
 def test_certified_optima(name):
     graph = standard(name)

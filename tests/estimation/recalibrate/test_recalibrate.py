@@ -55,6 +55,7 @@ def turned(skin, module):
     return replace(skin, poses=poses)
 
 
+@pytest.mark.deep
 def test_a_turned_module_is_found_and_the_others_are_confirmed(setting):
     scene, points = setting
     now = turned(scene.skin, 4)
@@ -78,6 +79,7 @@ def test_a_turned_module_is_found_and_the_others_are_confirmed(setting):
     assert set(compared.permutation) == {12 * 4 + s for s in slots.TAXELS if s != slots.CENTRE}
 
 
+@pytest.mark.deep
 def test_untouched_modules_and_taxels_are_not_confirmed(setting):
     scene, points = setting
     recording = ms.press(scene, points[:4])

@@ -146,6 +146,7 @@ def test_displacements_with_an_undetermined_direction_are_left_out(world):
         displacement_graph(data, trilateration=one_way)
 
 
+@pytest.mark.deep
 def test_noise_above_a_low_threshold_makes_no_pairs(world):
     """Half of all readings are noise above a threshold of zero: everyone answers everywhere."""
     recording, belief = world.record(0.02), world.belief(0.02)

@@ -92,6 +92,7 @@ def test_an_ellipsoid_too_large(seed):
     assert 0.8 < stated_over_true(ms.calibrate(log, wrong), scene.skin.positions) < 1.25
 
 
+@pytest.mark.deep
 def test_a_learned_response_has_the_error_of_the_body(noisy, log):
     belief = noisy.belief(contact="learned", body=ms.Body.sphere(0.101))
     assert 0.5 < stated_over_true(ms.calibrate(log, belief), noisy.skin.positions) < 2
@@ -108,6 +109,7 @@ def test_exact_contact_points_add_nothing(noisy, log):
     assert more[:, 2, 2] == pytest.approx(4e-8)
 
 
+@pytest.mark.deep
 def test_a_declared_error_of_the_surface_holds_a_body_and_contacts_of_another_size():
     """1 % too large, both, as a learned response bears: at the end of a long capsule taxels are
     0.5 mm off along the surface."""
@@ -294,6 +296,7 @@ def test_a_motion_points_where_the_contact_points_were_moved():
     np.testing.assert_allclose(found.at(points).mean(axis=0), moved, atol=1e-6)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("shifted", [True, False])
 def test_motions_of_an_egg_are_counted(shifted):
     """Shifts and turns about the middle, alike in size, and turns alone, are stated as large as

@@ -84,6 +84,7 @@ def test_a_taxel_that_answers_ten_thousands_of_times(wide):
     assert peak < 200e6
 
 
+@pytest.mark.deep
 def test_the_level_is_that_of_the_share_of_taxels(wide):
     recording, belief = wide.record(0.01, 0.05), wide.belief(0.01, 0.05)
     sound = calibrate(recording, belief)
@@ -157,6 +158,7 @@ def test_taxels_between_two_lanes_as_far_apart_as_a_patch_is_wide():
     assert len(exchanged_taxels(data, skin.positions)[0]) == 0
 
 
+@pytest.mark.deep
 def test_two_taxels_that_exchange_their_ids_midway_state_no_small_sigma():
     """Each answers as often at one place as at the other: neither is more likely its own."""
     base = ms.Scene.load("sphere_noisy")

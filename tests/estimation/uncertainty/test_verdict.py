@@ -176,6 +176,7 @@ def test_no_taxel_is_confidently_wrong_where_the_model_does_not_fit(noisy, recor
     assert not np.any((error > 0.3e-3) & (error > 5 * found.position_sigma))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("noise", ["known", "unknown"])
 def test_a_sound_log_passes(noisy, recorded, noise, tmp_path):
     found = ms.calibrate(recorded, beliefs(noisy)[noise])
@@ -242,6 +243,7 @@ def test_a_body_one_percent_too_large_is_named(noisy, recorded, noise):
     assert any("1 mm below the believed surface" in r for r in found.verdict.reasons)
 
 
+@pytest.mark.deep
 def test_the_verdict_is_the_first_of_what_is_saved_and_printed(
     noisy, recorded, tmp_path, no_figures
 ):
@@ -292,6 +294,7 @@ def test_recorded_normals_that_scatter_or_lean_alike_accuse_nothing(noisy, recor
     assert found.verdict.level == "PASS"
 
 
+@pytest.mark.deep
 def test_single_normals_that_lean_back_accuse_no_axes(noisy, recorded):
     """4 % of the contacts, as over an edge: the regression through all normals has a quarter of the
     turn, that through the others the whole."""
@@ -301,6 +304,7 @@ def test_single_normals_that_lean_back_accuse_no_axes(noisy, recorded):
     assert found.verdict.level == "PASS", found.verdict.reasons
 
 
+@pytest.mark.deep
 def test_taxels_where_contacts_end_are_not_surrounded(world):
     """Contacts over the half x > 0 only: the weighted mean of a taxel at its edge is displaced."""
     whole = world.record(0.01, 0.05)

@@ -263,6 +263,7 @@ def test_indenters_are_not_silently_left_out(ball, tmp_path, capsys):
     assert "indenter  not tried on a mesh that cannot be a body" in capsys.readouterr().out
 
 
+@pytest.mark.deep
 def test_indenters_are_compared(ball, tmp_path, capsys):
     ball.export(tmp_path / "ball.ply")
     line = ["check", str(tmp_path / "ball.ply"), "--units", "m", "--indenter-radius-mm"]

@@ -117,6 +117,7 @@ def test_sums_over_clusters_are_near_integers():
     assert np.abs(total - np.sum(np.less(height, 0.0), axis=0))[clear].max() < 0.03
 
 
+@pytest.mark.deep
 def test_winding_numbers_of_many_nested_surfaces():
     """48 spheres 0.1 mm apart: errors of the clusters add up, and all triangles are summed."""
     mesh = trimesh.util.concatenate(
@@ -142,6 +143,7 @@ def test_holes_of_a_body_are_closed_and_a_sheet_reaches_far(each_way):
     np.testing.assert_array_equal(dome.at(np.array(points)), [1, 1, 0, 0, 0])
 
 
+@pytest.mark.deep
 @pytest.mark.skipif(codegen.find_compiler() is None, reason="no C compiler here")
 def test_far_borders_count_by_their_loops():
     """A ball cut into panels that face either way: a sheet of many loops, each extruded."""
