@@ -24,6 +24,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SHARE = 0.9
 """Least share of mutants that must be killed."""
+DEEP = ("-m", "not slow and not docs")
+"""Tests of more than a second, which the default run leaves out, run here."""
 COPIED = ("meshskin", "tests", "studies", "bodies", "pyproject.toml", "README.md")
 
 

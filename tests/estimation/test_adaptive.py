@@ -82,7 +82,7 @@ def test_a_dead_taxel_is_named(scene):
     assert found.calibration.position_sigma[~lost].max() <= 2 * TARGET
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_gaps_that_nothing_reaches_leave_their_taxels_unread(scene):
     """The first pass touches a part of the skin; the arm reaches nothing of the rest."""
     near = np.argsort(np.linalg.norm(scene.skin.positions - scene.skin.positions[0], axis=1))

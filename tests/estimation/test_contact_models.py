@@ -19,7 +19,7 @@ from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, nees_band,
 from meshskin.geometry.primitives import Ellipsoid
 
 MODELS = {"elliptic": ContactModel("elliptic"), "layered": ContactModel("layered", 0.49, 4e-3)}
-FIRST = ["layered", pytest.param("elliptic", marks=pytest.mark.slow)]
+FIRST = ["layered", pytest.param("elliptic", marks=pytest.mark.deep)]
 """That with the more derivatives; the other one with -m slow."""
 
 
@@ -148,7 +148,7 @@ def test_the_paper_s_methods(worlds, name, method):
     assert error.mean() < 0.2e-3
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("name", MODELS)
 def test_next_contacts_aim_at_the_worst(worlds, name):
     world = worlds[name]

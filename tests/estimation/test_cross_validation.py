@@ -166,7 +166,7 @@ def test_what_cannot_be_cross_validated(physical, tmp_path):
         calibration.cross_validate(recording, folds=200)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_loaded_calibration_is_cross_validated_alike(physical, tmp_path):
     recording, calibration, found = physical
     calibration.save(tmp_path / "skin")

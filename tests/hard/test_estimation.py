@@ -141,7 +141,7 @@ def test_all_readings_zero(world, threshold, method):
         calibrate(silent, world.belief(0.01, threshold), method=method)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_all_readings_saturated(world, noisy):
     recording, _ = noisy
     level = 0.06 * world.peak_reference

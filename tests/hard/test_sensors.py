@@ -94,7 +94,7 @@ def test_readings_that_never_change_are_refused(readings):
         answer(0 * level + 0.1 * np.arange(1, TAXELS + 1), force, dense=True, readings=readings)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("readings", ["pressure", "raw"])
 def test_an_offset_of_all_readings_changes_nothing(readings):
     level, force = sound()

@@ -30,8 +30,8 @@ def test_the_slope_is_the_derivative_of_the_force(model):
     [
         ("layered", "arm"),
         ("elliptic", "quasi_static"),
-        pytest.param("elliptic", "arm", marks=pytest.mark.slow),
-        pytest.param("layered", "quasi_static", marks=pytest.mark.slow),
+        pytest.param("elliptic", "arm", marks=pytest.mark.deep),
+        pytest.param("layered", "quasi_static", marks=pytest.mark.deep),
     ],
 )
 def test_the_force_settles_at_its_reference(model, mode):

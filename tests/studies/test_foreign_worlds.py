@@ -185,7 +185,7 @@ def test_a_seed_gives_the_same_recording(small, name):
     assert not np.allclose(one.positions, other.positions)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_the_joint_estimate_is_on_the_bound_where_hertz_holds(worlds):
     """Two seeds of the world that is as believed: no shift from the rules of quadrature."""
     from foreign_worlds import belief
@@ -216,9 +216,9 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
 @pytest.mark.parametrize(
     ("name", "truth", "worst"),
     [
-        pytest.param("hysteresis", {"hysteresis": (0.5, 0.2)}, 0.05e-3, marks=pytest.mark.slow),
+        pytest.param("hysteresis", {"hysteresis": (0.5, 0.2)}, 0.05e-3, marks=pytest.mark.deep),
         ("crosstalk", {"crosstalk": 0.05}, 0.04e-3),
-        pytest.param("crosstalk_modules", {"crosstalk": 0.05}, 0.04e-3, marks=pytest.mark.slow),
+        pytest.param("crosstalk_modules", {"crosstalk": 0.05}, 0.04e-3, marks=pytest.mark.deep),
         pytest.param("crosstalk_faint", {"crosstalk": 0.02}, 0.03e-3, marks=pytest.mark.slow),
         pytest.param("matrix", {"crosstalk": 0.03}, 0.03e-3, marks=pytest.mark.slow),
         pytest.param("ghosts", {"crosstalk": 0.03}, 0.03e-3, marks=pytest.mark.slow),
@@ -228,7 +228,7 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
         pytest.param(
             "warming", {"gain_drift": 0.1, "offset_drift": 0.03}, 0.05e-3, marks=pytest.mark.slow
         ),
-        pytest.param("force_drift", {"force_drift": 0.22}, 0.04e-3, marks=pytest.mark.slow),
+        pytest.param("force_drift", {"force_drift": 0.22}, 0.04e-3, marks=pytest.mark.deep),
         pytest.param("drag_01", {"drag": 0.1e-3}, 0.03e-3, marks=pytest.mark.slow),
         pytest.param("drag_09", {"drag": 0.9e-3}, 0.03e-3, marks=pytest.mark.slow),
         ("force_nominal", {}, 0.05e-3),
@@ -289,7 +289,7 @@ def test_taxels_that_are_read_one_after_another(study, worlds):
     assert found.response.skew == pytest.approx(np.std(late), rel=0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("name", "seed"),
     [(name, seed) for name in ("scan_places", "scan_drawn") for seed in range(3)],
@@ -308,7 +308,7 @@ def test_a_scan_in_any_order_is_in_the_standard_deviations(study, worlds, name, 
     assert "ahead of the contacts" in found.verdict.reasons[0]
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_misfit_that_displaces_taxels_is_in_the_standard_deviations(study, worlds):
     """Of ovals on a sphere, as by an ellipsoidal tip, for which other parameters stand in: 0.63 of
     the error was stated, and 0.37 with such a tip on thin foam, with taxels 7 sigma off."""
@@ -371,7 +371,7 @@ def test_a_world_outside_the_family_is_named_or_its_errors_stated(study, worlds,
         assert np.sqrt(np.mean(off**2)) < 0.5e-3
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [1, 2])
 def test_creep_with_two_time_constants_counts_in_the_errors(study, worlds, seed):
     """With one constant 0.79 of the error was stated, with a NEES of 3.3 and PASS."""

@@ -276,7 +276,7 @@ def test_an_effect_that_removes_readings_has_negative_seconds(trial):
     assert "gaussian_noise" not in trial.forced(1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_facets_are_those_of_the_declared_mesh(trial):
     """However coarse or fine the mesh that the smooth surface is fitted to."""
     with_them = trial.scene_with(with_required(["mesh_facets"], trial.items))
@@ -289,7 +289,7 @@ def test_facets_are_those_of_the_declared_mesh(trial):
     assert np.linalg.norm(facets(coarse.context(0))(centres)[0] - feet[0][0], axis=1).max() > 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_the_tolerance_is_measured(trial, small):
     knob = trial.tolerance
     moves = [level.shift for level in knob.levels]

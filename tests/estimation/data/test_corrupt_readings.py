@@ -69,7 +69,7 @@ def test_coarse_readings_of_a_robot_that_holds_still_all_count(seed):
     ("noise", "value"),
     [(None, 38), (None, np.nan), (0.01, -1.0)]
     + [
-        pytest.param(noise, value, marks=pytest.mark.slow)
+        pytest.param(noise, value, marks=pytest.mark.deep)
         for noise, kept in (
             (None, (330, 1e5, 1e95, np.inf, -1.0)),
             (0.01, (38, 330, 1e5, 1e95, np.inf, np.nan)),

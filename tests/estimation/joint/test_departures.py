@@ -69,7 +69,7 @@ def test_it_is_named_where_the_contact_model_is_fixed(displaced):
     assert any("show" in words and "indenter_offset" in words for words in found.verdict.reasons)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_an_unknown_far_outside_its_prior_is_a_doubt(displaced):
     recording, belief = displaced
     narrow = replace(belief, contact="hertz", unknown=("indenter_offset",))

@@ -45,7 +45,7 @@ def test_a_sound_recording_has_no_faults_and_fits(clean):
     [
         (0.2, 0.01),
         *(
-            pytest.param(*k, marks=pytest.mark.slow)
+            pytest.param(*k, marks=pytest.mark.deep)
             for k in ((0.02, None), (0.02, 0.01), (0.2, None))
         ),
     ],
@@ -389,7 +389,7 @@ def far_side():
     return scene, ms.simulate(scene, seed=1)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("noise", ["known", "unknown"])
 def test_noise_in_contacts_on_the_far_side_is_no_fault(far_side, noise):
     scene, recording = far_side

@@ -161,7 +161,7 @@ def test_steps_and_far_sides_are_other_sheets():
     assert same_sheet(offset, np.tile(up, (4, 1)), taxel).tolist() == [True, False, False, True]
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_rival_is_found_without_knowing_the_noise(line):
     """10 % noise, ten times what is assumed where a belief names none."""
     scene, calibration, far = line

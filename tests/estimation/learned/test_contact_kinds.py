@@ -70,7 +70,7 @@ def test_scatter_is_of_one_kind(kind):
     assert not any("displaced against" in words for words in found.verdict.reasons)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_jump_that_errors_of_contacts_stand_in_for(seed):
     """Pressed in lanes, most taxels are touched on one side of it only."""

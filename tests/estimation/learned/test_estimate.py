@@ -336,7 +336,7 @@ def test_force_errors_are_found(seed, contacts):
     assert 0.75 < stated / error < 1.35
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_forces_recorded_as_constant_are_mended():
     body, rng = Body.ellipsoid((0.07, 0.05, 0.04)), np.random.default_rng(4)
     side = rng.normal(size=3)
@@ -448,7 +448,7 @@ def test_raw_counts_need_no_unit():
     assert "exponents of the radius is not determined" in found.undetermined  # one force
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_next_contacts_of_a_loaded_calibration_take_the_belief_in_counts():
     own = belief(readings="raw", force_reference=FORCE, threshold=8.0, noise_sigma=3.0)
     found = calibrate(recording(*counts(scatter=0.0)), own)
@@ -521,7 +521,7 @@ def test_contact_errors_that_vary_slowly_are_no_scatter():
     assert any("not scatter" in words for words in found.verdict.reasons)
 
 
-@pytest.mark.parametrize("uneven", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("uneven", [True, pytest.param(False, marks=pytest.mark.deep)])
 def test_a_skin_of_uneven_stiffness_is_named(uneven):
     """Forces that scatter by as much from contact to contact are no unevenness."""
     rng = np.random.default_rng(5)

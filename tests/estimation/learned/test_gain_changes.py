@@ -11,7 +11,7 @@ from meshskin.estimation.joint.gain_changes import GAIN_CHANGES
 from .test_contact_kinds import scattered
 
 
-@pytest.mark.parametrize("factor", [pytest.param(1.0, marks=pytest.mark.slow), 0.3])
+@pytest.mark.parametrize("factor", [pytest.param(1.0, marks=pytest.mark.deep), 0.3])
 def test_one_taxel_at_a_lower_gain_from_halfway_on(factor):
     """It is left out; the others, and all of a sound recording, are not."""
     scene, log = scattered(0)

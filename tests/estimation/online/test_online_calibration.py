@@ -90,7 +90,7 @@ def test_one_by_one_in_another_order_gives_the_same(world, frames, batch):
     assert sigmas_apart(other, batch)[found].max() < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_lane_after_lane_it_stays_at_the_batch_estimate(world):
     """Frame by frame without `settle`, as contacts come in an exploration."""
     lanes = np.lexsort((world.points[:, 1], np.round(world.points[:, 0] / 5e-3)))[::4]
@@ -365,7 +365,7 @@ def test_a_misfit_is_said_when_most_data_are_bad(world, frames, off, why):
     assert why in status.why
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_contacts_that_were_rejected_too_early_come_back(world, frames):
     """Under an E* of three times the true one, sound contacts contradict the first estimates."""
     contacts, readings = frames

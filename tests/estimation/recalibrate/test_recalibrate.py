@@ -355,7 +355,7 @@ def displaced(skin, offset):
     return replace(skin, poses=poses)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_place_three_sigmas_off_is_no_change(sphere):
     """Its readings are not straight over three standard deviations of its place."""
     scene, points = single_taxels(sphere, 0)

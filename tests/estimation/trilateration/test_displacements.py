@@ -215,7 +215,7 @@ def test_errors_of_edges_that_share_readings_are_correlated(drawn):
     assert np.mean(alike) > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("noise", "threshold", "method"),
     [

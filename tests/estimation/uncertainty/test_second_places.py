@@ -35,7 +35,7 @@ def exchanged(world, recording, share):
     return changed(recording, taxel=np.where(late, other[index], ids).astype(np.int32))
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_ids_exchanged_in_half_of_the_recording():
     wide = World(extent=25e-3, step=1.5e-3)
     recording, belief = wide.record(0.01, 0.05), wide.belief(0.01, 0.05)
@@ -116,7 +116,7 @@ def swept(skin, body, seed):
     return points[np.lexsort((points[:, 1] * np.where(lane % 2, 1, -1), lane))]
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_ids_of_a_module_that_are_off_by_one_from_midway():
     """In lanes few taxels answer before and after it; the second places are next to the first."""
     base = ms.Scene.load("sphere_noisy")

@@ -137,10 +137,10 @@ DEEP = ("pressures times 2", "15 mm out", "some pressures negative")
     ("name", "noise"),
     [
         *(
-            pytest.param(name, "known", marks=pytest.mark.slow if name in DEEP else ())
+            pytest.param(name, "known", marks=pytest.mark.deep if name in DEEP else ())
             for name in LOGS
         ),
-        *(pytest.param(name, "unknown", marks=pytest.mark.slow) for name in LOGS),
+        *(pytest.param(name, "unknown", marks=pytest.mark.deep) for name in LOGS),
     ],
 )
 def test_wrong_logs_are_named(noisy, recorded, name, noise):
@@ -166,7 +166,7 @@ def test_negative_readings_of_frames_without_force_do_not_hide_corrupt_ones(nois
     assert found[1].startswith(f"{len(corrupt)} of {len(pressure)} readings are corrupt")
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("factor", [0.5, 3.0])
 def test_no_taxel_is_confidently_wrong_where_the_model_does_not_fit(noisy, recorded, factor):
     found = ms.calibrate(changed(recorded, pressure=factor * recorded.pressure), noisy.belief())
@@ -222,7 +222,7 @@ def test_logs_without_a_press_or_a_reading_are_refused(noisy, recorded, change):
     [
         (5, "DOUBT"),
         *(
-            pytest.param(*k, marks=pytest.mark.slow)
+            pytest.param(*k, marks=pytest.mark.deep)
             for k in ((2, "PASS"), (12, "FAIL"), (30, "FAIL"))
         ),
     ],
@@ -260,7 +260,7 @@ def test_the_verdict_is_the_first_of_what_is_saved_and_printed(
 
 
 @pytest.mark.parametrize(
-    ("back", "level"), [pytest.param(-1, "PASS", marks=pytest.mark.slow), (1, "DOUBT")]
+    ("back", "level"), [pytest.param(-1, "PASS", marks=pytest.mark.deep), (1, "DOUBT")]
 )
 def test_clocks_that_were_not_compared_are_named_where_strokes_have_one_direction(
     noisy, back, level
@@ -335,7 +335,7 @@ def test_an_offset_of_the_forces_is_named(noisy, recorded, offset, words):
 
 @pytest.mark.parametrize(
     ("factor", "level"),
-    [*(pytest.param(k, "PASS", marks=pytest.mark.slow) for k in (1.0, 2.0)), (4.0, "DOUBT")],
+    [*(pytest.param(k, "PASS", marks=pytest.mark.deep) for k in (1.0, 2.0)), (4.0, "DOUBT")],
 )
 def test_an_overstated_noise_is_named(noisy, recorded, factor, level):
     belief = noisy.belief()
