@@ -271,6 +271,7 @@ def test_an_export_that_cannot_be_written_is_refused_before_the_work(log, tmp_pa
     assert not list((tmp_path / "out").glob("*"))
 
 
+@pytest.mark.deep
 @pytest.mark.usefixtures("no_figures")
 def test_why_taxels_are_left_out_is_said(log, tmp_path, capsys):
     for name in ("contacts.csv", "ball.stl"):

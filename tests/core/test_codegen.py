@@ -70,6 +70,7 @@ def test_a_cached_library_must_have_been_built(cache):
     assert module.cached_library(text, (*module.FLAGS, "-O1")) is None  # flags are part of the key
 
 
+@pytest.mark.deep
 @needs_compiler
 @pytest.mark.parametrize("damage", ["half", "not a library"])
 def test_a_damaged_library_is_rebuilt(cache, damage):

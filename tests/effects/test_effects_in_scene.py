@@ -97,7 +97,14 @@ def test_effects_on_recorded_contacts_leave_the_readings_bit_for_bit(name, one, 
     assert other.motion.equals(plain.motion)
 
 
-@pytest.mark.parametrize("name", [k for k in READ if k not in IDLE])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(k, marks=() if k in ("gain_offset", "hysteresis") else pytest.mark.deep)
+        for k in READ
+        if k not in IDLE
+    ],
+)
 def test_effects_on_readings_leave_the_contacts_bit_for_bit(name, one, plain):
     other = one(name)
     assert other.contacts.equals(plain.contacts)
@@ -145,6 +152,7 @@ def test_no_effect_depends_on_the_batches(small, monkeypatch):
     np.testing.assert_allclose(parts.pressure, whole.pressure, rtol=1e-9)
 
 
+@pytest.mark.deep
 def test_a_sample_that_is_held_keeps_all_that_the_robot_recorded(small):
     """Heading and force, with the noise of that sample: it is one measurement, not several."""
     held = run(small, "encoder", "force_sensor", "sampling")
@@ -155,12 +163,14 @@ def test_a_sample_that_is_held_keeps_all_that_the_robot_recorded(small):
     assert turns[same].max() < 1e-12 < turns[~same].min()
 
 
+@pytest.mark.deep
 def test_encoders_turn_the_recorded_heading(one, plain):
     turn = np.einsum("kji,kjl->kil", plain.headings, one("encoder").headings)
     angle = np.linalg.norm(turn - np.swapaxes(turn, 1, 2), axis=(1, 2)) / np.sqrt(8.0)
     assert 1e-4 < np.sqrt(np.mean(angle**2)) < 2e-3  # six joints with offsets of 2e-4 rad
 
 
+@pytest.mark.deep
 def test_the_frames_of_a_scene_are_contacts_with_the_indenter(small):
     """The pose of each frame's configuration maps its centre to the position of the indenter."""
     seen: list[Frames] = []

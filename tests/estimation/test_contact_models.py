@@ -37,6 +37,7 @@ def rms(found, world):
     return np.sqrt(np.mean(position_errors(found, world.skin) ** 2))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("name", "seeds"),
     [

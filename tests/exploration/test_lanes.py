@@ -58,6 +58,7 @@ def test_a_geodesic_of_a_sphere_is_a_great_circle_that_closes():
     assert length == pytest.approx(0.2 * np.pi, rel=0.01)
 
 
+@pytest.mark.deep
 def test_a_whole_body_is_covered_about_once():
     body = Body.capsule(0.03, 0.06)
     sites = Skin.cover(body, spacing=6e-3).positions

@@ -149,6 +149,7 @@ def test_the_inside_of_a_narrow_ring_is_left_out_with_the_reason():
     assert {plan.unreachable.get(k) for k in inside} == {collision.HOLLOW}
 
 
+@pytest.mark.deep
 def test_the_arm_avoids_the_support_and_the_body(sphere):
     plan = plan_exploration(sphere.with_(exploration=LANES))
     q = np.concatenate(list(angles(sphere, plan)))[::20]
@@ -188,6 +189,7 @@ def test_contacts_on_the_far_face_of_a_plate_do_not_cover_a_taxel():
     assert taxels_left_out(skin, 8e-3, [single], []) == {0: NOT_COVERED}
 
 
+@pytest.mark.deep
 def test_lanes_too_far_apart_are_named_with_the_remedy(sphere):
     scene = sphere.with_(
         loop=replace(sphere.loop, mode="quasi_static"),

@@ -88,6 +88,7 @@ def longest(place, young, speed, integrator):
     return stability.stable_limit(simulator, q, track.references[0], most)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize(
     ("young", "speed"),
@@ -136,6 +137,7 @@ def judged(place, young, speed, integrator, dt):
     return stated, np.abs(found[integrator] - exact).max() / max(exact.max(), 3.0)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("integrator", FIRST)
 @pytest.mark.parametrize(
     ("young", "speed", "dt"),
@@ -202,6 +204,7 @@ def test_delayed_readings_are_as_old_in_shorter_steps(sphere):
     assert 1e-4 < np.abs(own - finer).max() < 3.0 * stated
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("integrator", FIRST)
 @pytest.mark.parametrize("shape", ["inertia", pytest.param("identity", marks=pytest.mark.slow)])
 def test_a_step_too_long_is_refused_and_the_step_named_works(sphere, integrator, shape):
@@ -221,6 +224,7 @@ def test_a_step_too_long_is_refused_and_the_step_named_works(sphere, integrator,
     assert abs(found[-1] - 3.0) < 0.05
 
 
+@pytest.mark.deep
 def test_a_loop_that_no_step_can_save_is_named(place, monkeypatch):
     simulator, track = place(integrator="rk4")
     monkeypatch.setattr(stability, "spectral_radius", lambda *_: 2.0)
@@ -261,6 +265,7 @@ LEVER = """<robot name="lever"><link name="root"/>
     <origin xyz="0.5 0 0"/></joint><link name="tool0"/></robot>"""
 
 
+@pytest.mark.deep
 def test_energy_does_not_drift_over_10000_contact_periods(sphere):
     """A lever that lies on the indenter by its weight, without control: the contact is a spring."""
     arm, modulus = Arm.from_text(LEVER), 1e7
@@ -380,6 +385,7 @@ def drift(body, hanging, periods):
     return tenths[:, 0] / tenths[:, 1], sums[:, 2].min()
 
 
+@pytest.mark.deep
 @needs_compiler
 @pytest.mark.parametrize(
     ("periods", "faces"), [(500, 5_120), pytest.param(10_000, 80_000, marks=pytest.mark.slow)]

@@ -89,6 +89,7 @@ def test_strokes_over_the_skin_tell_nothing():
         assert estimate_of_presses(seed, 0.03, away=0.02) is None
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "length",
     [pytest.param(0.0, marks=pytest.mark.slow), 1e-3, pytest.param(3e-3, marks=pytest.mark.slow)],

@@ -57,6 +57,7 @@ def test_drawing_never_imports_pyplot() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+@pytest.mark.deep
 def test_save_writes_png_and_svg(tmp_path: Path) -> None:
     figure = curves.force([0.0, 1.0], [0.0, 3.0], 3.0)
     png, svg = theme.save(figure, tmp_path / "figures", "force")

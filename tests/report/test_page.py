@@ -293,6 +293,7 @@ def test_a_calibration_alone_is_enough(case: SimpleNamespace, tmp_path: Path) ->
     assert page.report(tmp_path / "b.html", body=None, calibration=c, truth=case.skin())
 
 
+@pytest.mark.deep
 def test_the_body_is_that_of_the_belief(case: SimpleNamespace, tmp_path: Path, body: Body) -> None:
     c = case.calibration()
     known = replace(c, belief=SimpleNamespace(body=body))

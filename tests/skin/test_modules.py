@@ -32,6 +32,7 @@ def assert_valid(body, modules, least):
     assert len(modules) * TRIANGLE > least * area(body, Whole())
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("body", "least"),
     [

@@ -70,6 +70,7 @@ def test_the_seed_rotates_and_shifts_the_lattice(ball):
     assert KDTree(first.positions).query(other.positions)[0].max() > 1e-3
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("body", "spacing"),
     [

@@ -213,6 +213,7 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
     assert np.isnan(bound(*small("together")))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("name", "truth", "worst"),
     [
@@ -323,6 +324,7 @@ def test_a_misfit_that_displaces_taxels_is_in_the_standard_deviations(study, wor
     assert found.verdict.level != "PASS"
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_scan_too_short_to_be_estimated_is_in_the_standard_deviations(study, worlds, seed):
     """Of 0.1 of a frame; without it 0.2 to 0.3 of the error is stated."""
@@ -343,6 +345,7 @@ def test_a_scan_too_short_to_be_estimated_is_in_the_standard_deviations(study, w
     assert not any("one after another" in words for words in found.factors)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "name",
     [
@@ -387,6 +390,7 @@ def test_creep_with_two_time_constants_counts_in_the_errors(study, worlds, seed)
     assert "lags of the readings" in str(found.verdict)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("share", "seed"), [pytest.param(0.1, 1, marks=pytest.mark.slow), (-0.06, 2)]
 )
@@ -661,6 +665,7 @@ def test_boundary_elements_of_a_smooth_skin_are_hertz():
     assert np.std(height) == pytest.approx(1e-4)
 
 
+@pytest.mark.deep
 def test_a_skin_that_yields_holds_the_force_under_its_limit():
     half_space = pytest.importorskip("worlds.half_space", exc_type=ImportError)
     from worlds.profiles import Hertz

@@ -188,6 +188,7 @@ def test_a_first_run_ends_as_soon_as_its_pace_is_known(noisy, monkeypatch):
     assert seen[-1] == 11
 
 
+@pytest.mark.deep
 def test_figures_that_do_not_fit_are_left_out_and_named(noisy_recording, noisy, tmp_path):
     def late(stage, done, total):
         if done == 3:

@@ -89,6 +89,7 @@ def test_one_corrupt_reading_costs_itself(world, recording, sound, noise, value)
     assert found.readings[k] == sound.readings[k] - 1
 
 
+@pytest.mark.deep
 def test_a_stretch_of_one_value_over_the_skin_is_left_out(world, recording, sound):
     belief, sound = world.belief(None, 0.05), sound[None]
     m, k = len(recording.time), int(belief.taxel_ids[3])
@@ -139,6 +140,7 @@ def test_a_level_at_rest_is_not_stuck(world, recording):
     assert not len(corrupt(world, counted(world, recording, middle_first(world, recording))))
 
 
+@pytest.mark.deep
 def test_a_stretch_of_one_value_is_found_beside_a_level_at_rest(world, recording):
     def stuck(counts):
         counts[-400:-100, 3] = 50
@@ -229,6 +231,7 @@ def test_sparse_contacts_confirm_nothing():
     assert not spikes(np.append(pressure, 1.0), taxel, contact, points, 0.02, 6e-3).any()
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("noise", [pytest.param(0.01, marks=pytest.mark.slow), None])
 def test_frames_that_were_written_twice_count_once(world, recording, sound, noise):
     contacts, readings = recording.contacts, recording.readings

@@ -40,6 +40,7 @@ def test_the_first_contact_model_that_holds(world, body, thickness, name):
     assert found.force_reference == pytest.approx(np.median(seen.force))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("body", "thickness", "name"),
     [

@@ -40,6 +40,7 @@ def test_a_sound_recording_has_no_faults_and_fits(clean):
     assert "fits" in found.fit.words
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("share", "noise"),
     [
@@ -179,6 +180,7 @@ def test_drifting_taxels_with_most_readings_are_the_faulty_ones(world, clean):
     assert others(position_errors(found, world.skin), warm, reference) < 1.05
 
 
+@pytest.mark.deep
 def test_two_taxels_that_exchange_their_ids(world, clean, change, tmp_path):
     recording, belief, reference, _ = clean
     taxel, sometimes = recording.reading_taxel.copy(), recording.reading_contact % 10 > 6
@@ -198,6 +200,7 @@ def test_two_taxels_that_exchange_their_ids(world, clean, change, tmp_path):
     assert "swapped with" in (tmp_path / "c.csv").read_text()
 
 
+@pytest.mark.deep
 def test_a_taxel_that_drifts(world, clean, change):
     recording, belief, reference, _ = clean
     drift = 0.2 * world.peak_reference * recording.reading_contact / len(recording.time)
@@ -258,6 +261,7 @@ def test_mean_log_likelihood_of_a_mixture():
     assert got == pytest.approx(want, rel=1e-12)
 
 
+@pytest.mark.deep
 def test_more_outlying_readings_than_plausible_are_a_misfit(world, monkeypatch):
     """What is left must explain what was heard better than a misfit does."""
     recording = world.record(0.01, 0.05)

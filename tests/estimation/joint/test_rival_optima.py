@@ -119,6 +119,7 @@ def test_rivals_are_saved(line, tmp_path):
     assert np.array_equal(again.rivals, calibration.rivals, equal_nan=True)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("thickness", [3.0, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_taxels_of_a_plate_are_estimated_on_their_own_face(noisy, tmp_path, thickness):
     box = trimesh.creation.box((50, 40, thickness))
@@ -216,6 +217,7 @@ def test_contacts_on_another_face_close_no_open_sector(tilt, sector):
     assert np.allclose(found, sector)
 
 
+@pytest.mark.deep
 def test_only_taxels_that_have_moved_are_searched_again(line, monkeypatch):
     """Where the global parameters stay, the rivals of the others do."""
     scene, calibration, far = line

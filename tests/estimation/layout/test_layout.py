@@ -109,6 +109,7 @@ def test_the_gradient_of_the_stress_is_that_of_differences(kind):
         assert slope == pytest.approx(gradient[k], rel=1e-4, abs=1e-7 * np.abs(gradient).max())
 
 
+@pytest.mark.deep
 def test_a_layout_without_any_knowledge():
     points = lattice(9, 9)
     frames = touched(points, 6000)

@@ -29,6 +29,7 @@ def displaced(log, by):
     return replace(log.with_columns(points=log.points + by), metadata={})
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("share", "size"),
     [(0.25, 1e-3), *(pytest.param(0.5, size, marks=pytest.mark.slow) for size in (1e-3, 2e-3))],

@@ -27,6 +27,7 @@ def test_one_taxel_at_a_lower_gain_from_halfway_on(factor):
     assert np.nanmax(error) < 0.2e-3
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [0, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_place_that_readings_of_both_gains_determine_has_their_error(seed):
     """Outlying readings of both gains are left out, and others of both fit a place 0.4 to 0.5 mm

@@ -51,6 +51,7 @@ def test_certified_optima(name):
     assert np.isclose(solution.cost, cost(graph, solution.poses, "chordal"), rtol=1e-9)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", OPTIMA)
 def test_chordal_start_is_the_published_one(name):
     from meshskin.estimation.posegraph.start import chordal

@@ -95,6 +95,7 @@ def test_untouched_modules_and_taxels_are_not_confirmed(setting):
     )
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("factor", "state"), [(0.0, "dead"), pytest.param(2.0, "gain changed", marks=pytest.mark.slow)]
 )
@@ -368,6 +369,7 @@ def test_a_place_three_sigmas_off_is_no_change(sphere):
     assert found.unit_evidence[4] < 0
 
 
+@pytest.mark.deep
 def test_the_likelihood_of_a_taxel_is_that_over_all_places_that_the_map_allows(sphere):
     """Against random places about a map that is three standard deviations off."""
     scene, points = single_taxels(sphere, 0)
@@ -392,6 +394,7 @@ def test_the_likelihood_of_a_taxel_is_that_over_all_places_that_the_map_allows(s
     assert abs(likelihoods([state])[0] - expected) > 1.0  # over all of them at once
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3))])
 def test_a_module_is_judged_by_all_places_that_the_map_allows(setting, seed):
     """The readings of taxels at random places of the map's own uncertainty that its straight

@@ -162,6 +162,7 @@ def test_noise_above_a_low_threshold_makes_no_pairs(world):
     assert position_errors(found, world.skin, gauge=True).mean() < 1e-3
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("noise", "threshold"), [(0.02, 0.0), (0.05, 0.1)])
 def test_readings_near_the_noise_do_not_bias_displacements(world, noise, threshold):
     """Of readings that noise has raised over a limit all seem nearer than they are."""

@@ -93,6 +93,7 @@ def each_way(request, monkeypatch):
         monkeypatch.setattr(wn, "library", lambda: None)
 
 
+@pytest.mark.deep
 def test_turns_are_those_of_all_triangles(each_way):
     """Two balls that overlap, and a smaller one within, wound inward: 0, 1 and 2 turns."""
     hollow = ball(radius=0.04, subdivisions=2)
@@ -240,6 +241,7 @@ def around(mesh, reach, count, seed=0):
     return places + rng.uniform(-reach, reach, size=(count, 3))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("hole", [False, True])
 def test_parts_that_run_into_each_other_have_one_inside(tmp_path, hole, turned):
@@ -278,6 +280,7 @@ def rolled(height, count=300):
     return curve, trimesh.Trimesh(vertices, faces, process=False)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("height", [0.012, -0.012])
 def test_a_sheet_that_runs_through_itself(tmp_path, height):
     """Signed crossings of a ray straight up tell how often the sheet winds about a point."""
@@ -298,6 +301,7 @@ def test_a_sheet_that_runs_through_itself(tmp_path, height):
     assert wrong(replace(body, crossed=None), points, turn > 0) > 20
 
 
+@pytest.mark.deep
 @needs_icub
 @pytest.mark.parametrize("part", ["l_forearm", "l_hand", "l_shank"])
 def test_links_of_a_robot_that_run_into_themselves(part):

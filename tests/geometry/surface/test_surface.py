@@ -180,6 +180,7 @@ def test_noise_lowers_the_degree_and_widens_the_rings():
     assert rms(e.curvature) < 0.07
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", ["forearm", "wrist3", "base"])
 @needs_ur3e
 def test_no_query_ends_in_a_local_minimum(name):
