@@ -236,3 +236,27 @@ def test_contacts_moved_into_a_hollow_keep_the_curvatures_that_they_have(noisy, 
     np.testing.assert_array_equal(moved.curvature[::2], data.curvature[::2])
     np.testing.assert_array_equal(moved.curvature[1::2], tight[1::2])
     assert np.isfinite(moved.patches.first).all()
+
+
+def test_contacts_at_random_places_move_to_the_next_one_at_their_speed(world):
+    """Twice as fast to a contact half of a frame later; those of a path have no speed."""
+    data = gather(world.record(), world.belief())
+    assert np.linalg.norm(data.headway, axis=1).max() < 1 + 1e-9
+    order = np.random.default_rng(0).permutation(len(data.points))
+    time = data.time.copy()
+    time[1::2] = time[:-1:2] + (time[1] - time[0]) / 2
+    points, normals = data.points[order], data.normals[order]
+    headway = dataclasses.replace(data, points=points, normals=normals, time=time).headway
+    way = np.diff(points, axis=0)
+    way -= np.sum(way * normals[:-1], axis=1, keepdims=True) * normals[:-1]
+    speed = way / np.diff(time)[:, None]
+    ratio = np.linalg.norm(headway[:-1], axis=1) / np.linalg.norm(speed, axis=1)
+    np.testing.assert_allclose(ratio, ratio[0])
+    np.testing.assert_allclose(headway[:-1], ratio[0] * speed, atol=1e-12)
+    assert not headway[-1].any()
+    # by the golden angle the ways are a turn and a shrinkage of all places: no reading shows these
+    turns = np.pi * (1 + 5**0.5) * np.arange(len(data.points))
+    flat = np.sqrt(np.arange(len(turns)))[:, None] * np.column_stack([np.cos(turns), np.sin(turns)])
+    normals = np.tile([0.0, 0.0, 1.0], (len(turns), 1))
+    spiral = dataclasses.replace(data, points=1e-3 * flat @ np.eye(2, 3), normals=normals)
+    np.testing.assert_allclose(np.linalg.norm(spiral.headway[1:], axis=1), 1)
