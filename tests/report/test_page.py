@@ -19,7 +19,7 @@ from meshskin.estimation.cross_validation import CrossValidation
 from meshskin.estimation.demonstration import Demonstration
 from meshskin.estimation.uncertainty.verdict import Verdict
 from meshskin.geometry.body import Body
-from meshskin.report import markup, page
+from meshskin.report import figure_set, markup, page
 from meshskin.report.advice import next_steps, outlying_taxels
 from meshskin.report.data import ReportData
 from meshskin.report.markup import table
@@ -487,3 +487,19 @@ def test_noiseless_data_need_no_advice_about_noise(case: SimpleNamespace) -> Non
     assert "taxels" in numbers
     assert "nees" not in numbers  # errors of arithmetic do not follow the stated variance
     assert "To halve" not in " ".join(next_steps(found))
+
+
+def test_figures_drawn_in_two_processes_are_those_of_one(
+    case: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(figure_set, "DRAWN", (figure_set.uncertainty, figure_set.coverage))
+    data, steps = ReportData(case.calibration()), list[tuple[int, int]]()
+    one, _ = figure_set.draw_figures(tmp_path / "one", data, None)
+    two, left_out = figure_set.draw_figures(
+        tmp_path / "two", data, lambda _, *done: steps.append(done), beside=True
+    )
+    assert [picture.title for picture in one] == [picture.title for picture in two]
+    assert not left_out
+    assert steps[-1] == (2, 2)
+    for here, there in zip(one, two, strict=True):
+        assert [a.read_bytes() for a in here.files] == [b.read_bytes() for b in there.files]
