@@ -43,7 +43,9 @@ def angle_prism(width=0.06, thick=0.02, length=0.1):
 
 
 def test_a_sphere_is_reached_everywhere():
-    for one in ms.reach(ms.Body.sphere(0.1), (2e-3, 10e-3)):
+    found = [*ms.reach(ms.Body.sphere(0.1), (2e-3, 10e-3)), *ms.reach(ms.Body.sphere(0.1), 10e-3)]
+    assert [one.radius for one in found] == [2e-3, 10e-3, 10e-3]
+    for one in found:
         assert one.share == 1.0
         assert not one.reasons
 

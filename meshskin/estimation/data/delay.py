@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import bdtrc
 
 from ...core.arrays import Array, spreads_by_group, sums_by_group
-from .delay_changes import BLOCKS, LAGS, LATE_FRAMES, delay_course
+from .delay_changes import BLOCKS, LAGS, LATE_FRAMES, begins_pass, delay_course
 from .measurements import Measurements
 
 MIN_READINGS, FEW_READINGS, FEW_GAIN = 10, 5, 0.5
@@ -187,17 +187,12 @@ def without_delay(data: Measurements) -> Measurements:
     return replace(moved, delay=steps[0][1], delays=steps)
 
 
-def _begins_pass(taxel: np.ndarray, contact: np.ndarray) -> np.ndarray:
-    """Whether (k,) a reading is the first of a pass over its taxel; by taxel and then contact."""
-    return (np.diff(taxel, prepend=-1) != 0) | (np.diff(contact, prepend=0) > LATE_FRAMES)
-
-
 def _crossed_again(data: Measurements) -> bool:
     """Whether most taxels have MIN_READINGS and are crossed twice: parts of a single pass spread
     less where one is moved onto another."""
     order = np.lexsort((data.contact, data.taxel))
     taxel, contact = data.taxel[order], data.contact[order]
-    begins, touched = _begins_pass(taxel, contact), data.counts > 0
+    begins, touched = begins_pass(taxel, contact), data.counts > 0
     passes = np.bincount(taxel[begins], minlength=len(data.ids))
     often = (data.counts[touched] >= MIN_READINGS) & (passes[touched] > 1)
     return bool(np.mean(often) > 0.5) if len(often) else False
@@ -259,7 +254,7 @@ def remaining_squares(data: Measurements) -> Array:
     order = np.lexsort((data.contact[rows], data.taxel[rows]))
     moved, rows, late = moved[order], rows[order], late[order]
     weight, own, at = data.pressure[rows] ** 2, data.taxel[rows], data.contact[rows]
-    begins = _begins_pass(own, at)
+    begins = begins_pass(own, at)
     number = np.cumsum(begins) - 1
     share = weight / np.maximum(np.bincount(own, weight, n), 1e-300)[own]
     mean = sums_by_group(share[:, None] * moved, own, n)

@@ -6,7 +6,9 @@ import re
 import numpy as np
 import pyarrow as pa
 import pytest
+import trimesh
 
+from meshskin import Body, Cap, Indenter, Loop, Readout, Scene, Skin, effects, simulate
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.data import delay, unit_checks
 from meshskin.estimation.data.gather import gather
@@ -187,6 +189,23 @@ def test_a_clock_that_runs_faster(world):
     """By five frames in the course of the recording."""
     found = gather(recorded_late(world, lambda part: np.rint(5 * part).astype(int)), world.belief())
     assert [frames for _, frames in found.delays] == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("direction", [(1, 0, 0), (1, 0.3, 0), (0, 0, 1)])
+def test_passes_that_end_at_edges_are_not_late(direction):
+    """Of a simulated box: few passes over a taxel spread less, by chance, with a wrong delay."""
+    body = Body.from_mesh(trimesh.creation.box([0.06, 0.04, 0.03]))
+    skin = Skin.cover(body, spacing=5e-3, count=40, region=Cap(direction))
+    scene = Scene(
+        body=body,
+        skin=skin,
+        indenter=Indenter.sphere(5e-3),
+        effects=[effects.find("gaussian_noise")(sigma_relative=0.01)],
+        readout=Readout(threshold_relative=0.05),
+        loop=Loop(mode="quasi_static"),
+    )
+    found = gather(simulate(scene, seed=1), scene.belief())
+    assert (found.delay, found.delays) == (0, ())
 
 
 def test_patches_that_are_dragged_along_are_not_late(world):
