@@ -18,6 +18,9 @@ from contextlib import suppress
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
+PATIENCE = 60.0
+"""Seconds that a result is waited for before the work is done anew: a lock that a thread of a library
+held while the process was forked is never released in the fork."""
 
 
 def can_fork() -> bool:
@@ -33,8 +36,8 @@ def can_fork() -> bool:
 class Beside(Generic[T]):
     """Context in which `work` runs beside this process; its end ends the work.
 
-    Where no process can be forked, or it fails, `result` does the work in this process, where its
-    errors are raised. The result has to be picklable. forked: False for work that is not worth it.
+    Where no process can be forked, it fails or gives no result within PATIENCE, `result` does the
+    work in this process, where its errors are raised. The result has to be picklable. forked: False for work that is not worth it.
     """
 
     def __init__(self, work: Callable[[], T], forked: bool = True) -> None:
@@ -54,7 +57,7 @@ class Beside(Generic[T]):
 
     def result(self) -> T:
         """What the work returns, once it is done."""
-        if self._child:
+        if self._child and self._results.poll(PATIENCE):
             with suppress(EOFError):  # it failed
                 found: T = self._results.recv()
                 return found

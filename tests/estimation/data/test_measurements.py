@@ -8,6 +8,7 @@ import pyarrow as pa
 import pytest
 import trimesh
 
+import meshskin as ms
 from meshskin import Body, Cap, Indenter, Loop, Readout, Scene, Skin, effects, simulate
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.data import delay, unit_checks
@@ -183,6 +184,24 @@ def test_late_readings_of_which_taxels_have_few(world):
         found = gather(log, world.belief())
         assert 5 <= np.median(found.counts[found.counts > 0]) < 10
         assert (found.delay, found.delays) == (frames, ())
+
+
+def test_late_readings_along_a_spiral_of_which_taxels_have_few(noisy):
+    """Passes over a taxel have one direction: moved along it, their contacts spread by 5 % less."""
+    turns = np.sqrt(np.linspace(0, 1, 750)) * 2 * np.pi * 12
+    way = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(len(turns))]) * turns[:, None]
+    axes = np.linalg.svd(noisy.skin.positions - noisy.skin.positions.mean(axis=0))[2]
+    centre = noisy.skin.positions.mean(axis=0)
+    points = noisy.body.closest(centre + 2.5e-3 / (2 * np.pi) * way @ axes).point
+    log = ms.press(noisy, points, force=0.3, seed=0)
+    for frames in (0, 3):
+        row = log.reading_contact + frames
+        kept = row < len(points)
+        readings = log.readings.filter(pa.array(kept))
+        readings = readings.set_column(0, "time", pa.array(log.time[row[kept]]))
+        found = gather(Recording(log.contacts, readings, {}), noisy.belief())
+        assert 5 <= np.median(found.counts[found.counts > 0]) < 10
+        assert found.delay == frames
 
 
 def test_a_clock_that_runs_faster(world):
