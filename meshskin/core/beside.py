@@ -19,8 +19,8 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 PATIENCE = 60.0
-"""Seconds that a result is waited for before the work is done anew: a lock that a thread of a library
-held while the process was forked is never released in the fork."""
+"""Seconds that a result is waited for before the work is done anew: in a fork, a lock that a thread
+of a library held is never released."""
 
 
 def can_fork() -> bool:
@@ -37,7 +37,8 @@ class Beside(Generic[T]):
     """Context in which `work` runs beside this process; its end ends the work.
 
     Where no process can be forked, it fails or gives no result within PATIENCE, `result` does the
-    work in this process, where its errors are raised. The result has to be picklable. forked: False for work that is not worth it.
+    work in this process, where its errors are raised. The result has to be picklable. forked: False
+    for work that is not worth it.
     """
 
     def __init__(self, work: Callable[[], T], forked: bool = True) -> None:
