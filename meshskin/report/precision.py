@@ -39,6 +39,8 @@ KNOB_NAMES = {
 """Names of knobs for people."""
 CHARACTER_WIDTH, LINE_HEIGHT = 0.55, 1.15
 """Mean width of a character and height of a line, relative to the font size (DejaVu Sans)."""
+MARK = 4.0
+"""Half the size of a point of a figure with names, in units of fonts (points)."""
 ORDERED_KNOBS = {"faces", "degree", "dt", "lanes", "rate", "tolerance"}
 """Knobs with ordered levels: their points are joined."""
 STATISTICAL_KNOBS = {"lanes", "rate", "method"}
@@ -105,36 +107,42 @@ def work_precision(costs: Costs, targets: Sequence[float]) -> Figure:
 def label_points(
     axes: Axes, points: ArrayLike, names: Sequence[str], size: float, color: str = theme.INK
 ) -> None:
-    """Write names next to points (n, 2), in data coordinates, without overlaps.
+    """Write names next to points (n, 2), in data coordinates, over no point and no other name where
+    there is room.
 
-    Names are on the right, or on the left where they would leave the axes. size: of the font.
+    Names are on the right, or on the left, as near as there is room. size: of the font.
     """
     from matplotlib.patheffects import withStroke
 
     data = np.asarray(points, dtype=float).reshape(-1, 2)
     places = axes.transData.transform(data) * 72.0 / axes.figure.dpi
-    end = axes.bbox.x1 * 72.0 / axes.figure.dpi
-    taken: list[tuple[float, float, float]] = []
+    first, end = axes.bbox.x0 * 72.0 / axes.figure.dpi, axes.bbox.x1 * 72.0 / axes.figure.dpi
+    height = LINE_HEIGHT * size
+    taken = [(x - MARK, y - MARK, x + MARK, y + MARK) for x, y in places]
+    rises = [5.0 + k * height for k in sorted(range(-len(data) - 2, len(data) + 1), key=abs)]
     for k in np.argsort(places[:, 1]):
-        width = CHARACTER_WIDTH * size * len(names[k])
-        inwards = places[k, 0] + width > end
-        x, y = places[k] + [-6.0 if inwards else 6.0, 5.0]
-        start = x - width if inwards else x
-        for left, right, low in taken:
-            if left < start + width and start < right and y - low < LINE_HEIGHT * size:
-                y = low + LINE_HEIGHT * size
-        taken.append((start, start + width, y))
+        (x, y), width = places[k], CHARACTER_WIDTH * size * len(names[k])
+        sides = [x + 6.0, x - 6.0 - width]
+        room = [left for left in sides if first <= left <= end - width] or sides[:1]
+        boxes = [(left, y + up, left + width, y + up + height) for up in rises for left in room]
+        free = (box for box in boxes if not any(_overlap(box, other) for other in taken))
+        box = next(free, boxes[0])
+        taken.append(box)
         axes.annotate(
             names[k],
             tuple(data[k]),
-            tuple(np.array([x, y]) - places[k]),
+            (box[0] - x, box[1] - y),
             textcoords="offset points",
-            ha="right" if inwards else "left",
             fontsize=size,
             color=color,
             zorder=6,
             path_effects=[withStroke(linewidth=1.5, foreground="white")],
         )
+
+
+def _overlap(one: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether two boxes (left, bottom, right, top) overlap."""
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
 
 
 @theme.styled
