@@ -188,15 +188,33 @@ class Touches:
         contacts = self._contacts.get(log_modulus)
         if contacts is None:
             contacts = self._contacts[log_modulus] = self._contacts_at(log_modulus)
+        found = np.zeros(len(contact))
+        rows = np.flatnonzero(self._is_pressed(offset, contact, contacts))
+        offset, contact = offset[rows], contact[rows]
         if (skin := self.skin) is None:
             mean = disc_means(self.data.model.name, offset, contact, contacts, self.data.disc)[0]
             level = np.maximum(mean, 0.0) * contacts.patches.peak[contact]
         else:  # before gain, compression and offset
+            given = replace(skin.data, contact_errors=contacts.points)  # no derivatives in them
+            likelihood, points = Likelihood(given, Readings.none()), contacts.points[contact]
             nuisance = np.zeros((len(contact), skin.nuisance.shape[1]))
-            likelihood, points = Likelihood(skin.data, Readings.none()), contacts.points[contact]
+            group = np.broadcast_to(group, len(found))[rows]
             mean = likelihood.predict(contact, points + offset, nuisance, contacts, group)[0]
             level = np.maximum(mean * skin.data.sigma, 0.0)
-        return np.asarray(level / self.unit)
+        found[rows] = level / self.unit
+        return found
+
+    def _is_pressed(self, offset: Array, contact: np.ndarray, contacts: Contacts) -> np.ndarray:
+        """Whether the disc of a taxel `offset` (q, 3), m, meets the patch: levels are zero beyond,
+        but for drifts."""
+        if self.skin is not None and "offset_drift" in self.skin.data.parameters.columns:
+            return np.ones(len(offset), dtype=bool)
+        axes = [np.maximum(x.patches.first, x.patches.second) for x in contacts.each]
+        longest = np.max(axes, axis=0)
+        extent = 1.0 if self.skin is None else self.skin.data.profile_extent
+        reach = np.maximum(extent * longest, longest + self.data.disc)[contact]
+        along = np.einsum("qi,qi->q", offset, contacts.normals[contact])
+        return np.asarray(np.einsum("qi,qi->q", offset, offset) - along**2 <= reach**2)
 
     def _contacts_at(self, log_modulus: float) -> Contacts:
         """The contacts under E* times exp(log_modulus)."""
@@ -209,5 +227,5 @@ class Touches:
         s = self.skin.s.copy()
         s[self.skin.data.parameters.columns["modulus"]] += log_modulus
         each = LinearizedContacts(self.skin.data, s).at(s).each
-        first, *others = (replace(x, compression=0.0) for x in each)
+        first, *others = (replace(x, compression=0.0, by_load=(), moves=None) for x in each)
         return replace(first, others=tuple(others))
