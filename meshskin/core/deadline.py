@@ -118,7 +118,9 @@ class Deadline:
             raise StudyError(
                 "the time is too short",
                 value=f"{self.seconds:g} s",
-                limit=f"a run takes {math.ceil(10 * least - 1e-6) / 10:.3g} s at least",
+                limit=f"a run takes {math.ceil(10 * least - 1e-6) / 10:.3g} s at least"
+                if least < 100
+                else f"a run takes {math.ceil(least)} s at least",
                 remedy="give more seconds",
             )
 

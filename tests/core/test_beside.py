@@ -1,6 +1,7 @@
 """Work in a forked process: its result, its errors, its end."""
 
 import os
+import sys
 import time
 
 import pytest
@@ -8,10 +9,16 @@ import pytest
 from meshskin.core import beside
 from meshskin.core.beside import Beside
 
-FORKS = pytest.mark.skipif(not beside.can_fork(), reason="no second core, or threads that run")
+
+@pytest.fixture
+def forks(monkeypatch):
+    """Fork although other tests may have left an idle thread."""
+    if sys.platform != "linux":
+        pytest.skip("processes are forked on Linux only")
+    monkeypatch.setattr(beside, "can_fork", lambda: True)
 
 
-@FORKS
+@pytest.mark.usefixtures("forks")
 def test_work_runs_in_a_process_of_its_own():
     with Beside(os.getpid) as other:
         assert other.result() != os.getpid()
@@ -19,7 +26,7 @@ def test_work_runs_in_a_process_of_its_own():
         assert other.result() == os.getpid()
 
 
-@FORKS
+@pytest.mark.usefixtures("forks")
 def test_the_process_ends_with_its_context(tmp_path):
     def work():
         time.sleep(1.0)
@@ -31,6 +38,7 @@ def test_the_process_ends_with_its_context(tmp_path):
     assert not (tmp_path / "late").exists()
 
 
+@pytest.mark.usefixtures("forks")
 def test_work_that_fails_there_is_done_here(tmp_path):
     here = os.getpid()
 
