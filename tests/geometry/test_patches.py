@@ -271,6 +271,7 @@ def scene_tables(folder, region):
     return file.read_tables(folder / "scene.toml")
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("table", "region"),
     [

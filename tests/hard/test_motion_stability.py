@@ -423,6 +423,7 @@ def test_contact_that_is_lost_is_made_again(place, integrator):
     assert np.abs(found[integrator] - exact).max() <= estimate * max(exact.max(), 3.0)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("integrator", [*INTEGRATORS, "cvodes"])
 def test_touch_without_penetration_and_depth_zero_are_finite(place, integrator):
     simulator, track = place(gap=0.0, integrator=integrator)
@@ -524,6 +525,7 @@ def test_sliding_at_half_a_metre_a_second_keeps_to_the_reference(sphere):
     assert np.abs(without - fine).max() < 0.02
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("young", [1e4, 2e5, 1e9])
 def test_the_quasi_static_touch_keeps_its_stated_error(sphere, young):
     """Without an arm the depth falls at the law's own speed: against steps a tenth as long."""

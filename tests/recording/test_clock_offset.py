@@ -32,6 +32,7 @@ def test_the_offset_is_recovered_to_2_ms(by, late):
     assert found.usable
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("by", [pytest.param("force", marks=pytest.mark.slow), "motion"])
 def test_sigma_is_the_scatter_over_seeds(by):
     found = [estimate(RobotLog(seed=seed), by) for seed in range(16)]

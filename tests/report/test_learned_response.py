@@ -101,6 +101,7 @@ def test_a_page_says_what_was_learned(case, tmp_path):
     assert "1.35 ± 0.013" in html
 
 
+@pytest.mark.deep
 def test_a_page_of_the_contact_model_s_response_has_no_such_section(case, tmp_path):
     files = page.report(tmp_path / "report.html", calibration=case.calibration(), body=None)
     assert learned_response.TITLE not in files[0].read_text(encoding="utf-8")

@@ -489,6 +489,7 @@ def test_noiseless_data_need_no_advice_about_noise(case: SimpleNamespace) -> Non
     assert "To halve" not in " ".join(next_steps(found))
 
 
+@pytest.mark.deep
 def test_figures_drawn_in_two_processes_are_those_of_one(
     case: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

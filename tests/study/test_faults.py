@@ -166,6 +166,7 @@ def test_an_interrupted_run_leaves_no_worker_and_no_temporary_file(tmp_path):
     assert not list(out.rglob("*.part"))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("trouble", "limits", "error"),
     [

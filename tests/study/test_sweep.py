@@ -172,6 +172,7 @@ def test_a_study_is_a_toml_file(tmp_path):
             ms.Study.load(tmp_path / "study.toml")
 
 
+@pytest.mark.deep
 def test_a_run_function_can_be_in_a_file_next_to_the_study(tmp_path, out):
     (tmp_path / "mine.py").write_text("def run(case):\n    return {'y': 2 * case.own['x']}\n")
     file = tmp_path / "study.toml"

@@ -210,6 +210,7 @@ def test_a_clock_that_runs_faster(world):
     assert [frames for _, frames in found.delays] == [0, 1, 2, 3, 4, 5]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("direction", [(1, 0, 0), (1, 0.3, 0), (0, 0, 1)])
 def test_passes_that_end_at_edges_are_not_late(direction):
     """Of a simulated box: few passes over a taxel spread less, by chance, with a wrong delay."""

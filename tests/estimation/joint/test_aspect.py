@@ -98,6 +98,7 @@ def test_derivatives_of_the_semi_axes(data):
     np.testing.assert_allclose(area, round_.patches.first * round_.patches.second, rtol=1e-12)
 
 
+@pytest.mark.deep
 def test_the_ratio_of_the_semi_axes_is_learned(data):
     found = ms.calibrate(recording(), belief())
     model = float(np.median(np.abs(np.log(data.patches.first / data.patches.second))))

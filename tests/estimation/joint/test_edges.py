@@ -119,6 +119,7 @@ def test_uneven_contacts_are_those_over_an_edge(belief):
     assert data.uneven[away > 12.0].max() < 0.1
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_taxels_beside_an_edge_are_where_their_sigma_says(belief, seed):
     found = ms.calibrate(recording(seed), belief)

@@ -93,6 +93,7 @@ def test_the_score_does_not_depend_on_the_scale_of_the_noise():
     assert one == pytest.approx(ten, abs=1e-6)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("kind", "where"),
     [("time", "in time"), pytest.param("odd", "in place", marks=pytest.mark.slow)],

@@ -32,6 +32,7 @@ def spread(world, size=0.05, seed=4):
     return np.exp(size * np.random.default_rng(seed).normal(size=len(world.ids)))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("noise", [pytest.param(0.01, marks=pytest.mark.slow), None])
 @pytest.mark.parametrize("size", [pytest.param(0.05, marks=pytest.mark.slow), 0.2])
 def test_taxels_of_different_gain_are_not_broken(world, size, noise):

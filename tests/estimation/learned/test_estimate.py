@@ -122,6 +122,7 @@ def errors(calibration):
     return np.sqrt(np.mean(off**2)), np.sqrt(np.mean(stated))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("wave", "noise"), [pytest.param(0.05, 0.01, marks=pytest.mark.slow), (0.1, 0.02)]
 )
@@ -138,6 +139,7 @@ def test_unmeasured_forces_whose_errors_neighbouring_contacts_share(wave, noise)
     assert 0.9 * wave / 2**0.5 < scatter < 1.4 * wave / 2**0.5  # with what noise has in it
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("measured", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_whole_patches_that_press_harder_than_their_forces_say(measured):
     def harder(pressure, rng):
@@ -251,6 +253,7 @@ def test_a_bell_shaped_profile_is_learned(bell_shaped):
     assert 0.75 < stated / error < 1.3
 
 
+@pytest.mark.deep
 def test_noise_does_not_fall_before_its_share_in_the_residuals_is_known(monkeypatch):
     """Two or three readings of a contact fit its three errors however small the noise is: on a limb
     the noise fell to its least value and stayed there."""
@@ -283,6 +286,7 @@ def test_noise_that_grows_with_the_reading_comes_to_rest():
     assert found.verdict.level == "PASS"
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_gains_that_rise_and_fall_during_the_recording(seed):
     """By one period of a sine, from 0.9 to 1.1."""
@@ -521,6 +525,7 @@ def test_contact_errors_that_vary_slowly_are_no_scatter():
     assert any("not scatter" in words for words in found.verdict.reasons)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("uneven", [True, pytest.param(False, marks=pytest.mark.deep)])
 def test_a_skin_of_uneven_stiffness_is_named(uneven):
     """Forces that scatter by as much from contact to contact are no unevenness."""

@@ -198,6 +198,7 @@ def test_taxels_that_moved_are_named(online, batch):
         assert (verdict == "moved since the last calibration") == bool(moved)
 
 
+@pytest.mark.deep
 def test_a_wrong_noise_is_a_misfit_and_widens_the_covariances(world, frames):
     contacts, readings = frames
     online = ms.OnlineCalibration(world.belief(NOISE / 3, THRESHOLD))
@@ -210,6 +211,7 @@ def test_a_wrong_noise_is_a_misfit_and_widens_the_covariances(world, frames):
     assert (error < 4 * online.position_sigma[found]).all()
 
 
+@pytest.mark.deep
 def test_it_goes_on_after_pickling(world, frames):
     contacts, readings = frames
     first = run(world, contacts.take(slice(0, 30)), readings[:30])

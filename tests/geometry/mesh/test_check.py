@@ -206,6 +206,7 @@ def test_command_says_what_and_where(ball, tmp_path, capsys):
     assert "largest extent" in capsys.readouterr().out
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", ["png", "html"])
 def test_command_draws_where(ball, tmp_path, kind):
     trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export(tmp_path / "hole.ply")

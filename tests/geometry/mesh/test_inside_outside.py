@@ -163,6 +163,7 @@ def test_far_borders_count_by_their_loops():
     np.testing.assert_allclose(total, exact, atol=0.03)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("turned", [False, True])
 def test_panels_of_a_link_do_not_put_each_other_inside(tmp_path, turned):
     """A ball whose lid is a part of its own, and a rib that runs through it: signs as of a ball.

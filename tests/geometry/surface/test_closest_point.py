@@ -69,6 +69,7 @@ def test_compiled_and_reference_search_agree(name):
         np.testing.assert_allclose(one, two, rtol=0, atol=1e-13)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "body",
     [
