@@ -40,7 +40,7 @@ KNOB_NAMES = {
 CHARACTER_WIDTH, LINE_HEIGHT = 0.55, 1.15
 """Mean width of a character and height of a line, relative to the font size (DejaVu Sans)."""
 MARK = 4.0
-"""Half the size of a point of a figure with names, in units of fonts (points)."""
+"""Half the size, pt, of a point that has a name: names keep clear of it."""
 ORDERED_KNOBS = {"faces", "degree", "dt", "lanes", "rate", "tolerance"}
 """Knobs with ordered levels: their points are joined."""
 STATISTICAL_KNOBS = {"lanes", "rate", "method"}
@@ -113,36 +113,33 @@ def label_points(
     Names are on the right, or on the left, as near as there is room. size: of the font.
     """
     from matplotlib.patheffects import withStroke
+    from matplotlib.transforms import Bbox
 
     data = np.asarray(points, dtype=float).reshape(-1, 2)
     places = axes.transData.transform(data) * 72.0 / axes.figure.dpi
     first, end = axes.bbox.x0 * 72.0 / axes.figure.dpi, axes.bbox.x1 * 72.0 / axes.figure.dpi
     height = LINE_HEIGHT * size
-    taken = [(x - MARK, y - MARK, x + MARK, y + MARK) for x, y in places]
+    taken = [Bbox.from_bounds(x - MARK, y - MARK, 2 * MARK, 2 * MARK) for x, y in places]
     rises = [5.0 + k * height for k in sorted(range(-len(data) - 2, len(data) + 1), key=abs)]
     for k in np.argsort(places[:, 1]):
         (x, y), width = places[k], CHARACTER_WIDTH * size * len(names[k])
         sides = [x + 6.0, x - 6.0 - width]
         room = [left for left in sides if first <= left <= end - width] or sides[:1]
-        boxes = [(left, y + up, left + width, y + up + height) for up in rises for left in room]
-        free = (box for box in boxes if not any(_overlap(box, other) for other in taken))
-        box = next(free, boxes[0])
+        boxes = [Bbox.from_bounds(left, y + up, width, height) for up in rises for left in room]
+        box = next((b for b in boxes if not b.count_overlaps(taken)), boxes[0])
         taken.append(box)
+        inwards = box.x0 < x
         axes.annotate(
             names[k],
             tuple(data[k]),
-            (box[0] - x, box[1] - y),
+            ((box.x1 if inwards else box.x0) - x, box.y0 - y),
+            ha="right" if inwards else "left",
             textcoords="offset points",
             fontsize=size,
             color=color,
             zorder=6,
             path_effects=[withStroke(linewidth=1.5, foreground="white")],
         )
-
-
-def _overlap(one: Sequence[float], other: Sequence[float]) -> bool:
-    """Whether two boxes (left, bottom, right, top) overlap."""
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
 
 
 @theme.styled
