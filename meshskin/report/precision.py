@@ -165,7 +165,9 @@ def accuracy_time(
                       fontsize=8)  # fmt: skip
     left.set(xscale="log", yscale="log", xlabel="time of the estimate (s)")
     left.set(ylabel="mean error of the taxels (mm)", title="Estimators on this recording")
-    left.margins(x=0.25, y=0.2)
+    left.margins(x=0.1, y=0.2)
+    first, last = left.get_xlim()
+    left.set_xlim(first, last * (last / first) ** 0.5)  # names are on the right
     decimal_ticks(left)
     label_points(left, list(points.values()), list(map(method_name, points)), 8.0)
     names = list(stages)[::-1]
