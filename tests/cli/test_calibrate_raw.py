@@ -56,6 +56,7 @@ def learned(log, known):
     return out
 
 
+@pytest.mark.deep
 def test_counts_need_no_modulus_and_no_unit(scene, learned):
     out = learned
     found = ms.Calibration.load(out / "calibration")

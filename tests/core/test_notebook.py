@@ -26,6 +26,7 @@ def plan(sphere):
     return ms.explore(sphere.body, sphere.skin, mode="quasi_static")
 
 
+@pytest.mark.deep
 def test_cards_have_numbers_and_a_picture(sphere, recording, calibration, plan):
     for shown, words in (
         (sphere.body, ("sphere", "200 x 200 x 200 mm", "5,120")),

@@ -70,6 +70,7 @@ def test_too_few_readings(world):
     assert np.isfinite(np.delete(found.positions, 7, axis=0)).all()
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_raw_counts_of_either_sign_give_the_same_means(world, sign):
     """Every taxel is read in every frame, as counts about a level at rest of its own."""

@@ -80,6 +80,7 @@ def predicted(points):
     return float(np.sqrt(np.mean(error)))
 
 
+@pytest.mark.deep
 def test_contacts_are_localized_as_well_as_the_noise_allows(physical):
     recording, _, found = physical
     sound = np.isfinite(found.errors)
@@ -95,6 +96,7 @@ def test_contacts_are_localized_as_well_as_the_noise_allows(physical):
     assert normal - 0.2 < metrics["log_likelihood_per_reading"] < normal + 0.02
 
 
+@pytest.mark.deep
 def test_two_exchanged_taxels_are_seen(physical):
     recording, calibration, found = physical
     data = gather(recording, known(contact="hertz"))

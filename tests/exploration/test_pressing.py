@@ -50,6 +50,7 @@ def middle(scene):
     return int(np.argmin(np.linalg.norm(scene.skin.positions[:, :2], axis=1)))
 
 
+@pytest.mark.deep
 def test_a_hollow_too_wide_for_the_force_is_pressed_lighter(dented):
     bottom = middle(dented)
     curvature = dented.body.closest(dented.skin.positions[bottom : bottom + 1]).curvature

@@ -108,6 +108,7 @@ def test_a_page_of_the_contact_model_s_response_has_no_such_section(case, tmp_pa
     assert not (tmp_path / "figures" / "response.svg").exists()
 
 
+@pytest.mark.deep
 def test_a_page_has_the_unknowns_in_readable_units(case, tmp_path):
     unknowns = {"clock_offset": (0.037, 2e-4), "joint_offset elbow": (-0.01, 1e-3)}
     c = replace(case.calibration(), unknowns=unknowns)

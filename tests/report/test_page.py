@@ -109,6 +109,7 @@ def full(case: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory, body: 
     return write(case, tmp_path_factory.mktemp("full"), body)
 
 
+@pytest.mark.deep
 def test_nothing_is_loaded_from_a_network(full: Written) -> None:
     loaded = full[0].loads
     assert len(loaded) == 7

@@ -59,6 +59,7 @@ def test_a_deep_cup_is_open_however_it_is_turned(seed):
     assert not enclosed(body, at, inward, 0.01).any()
 
 
+@pytest.mark.deep
 def test_the_outside_of_a_hollow_body_is_free():
     body = ms.Body.torus(0.06, 0.02)
     points = ms.Skin.cover(body, spacing=0.01, seed=1).positions

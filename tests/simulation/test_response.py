@@ -89,6 +89,7 @@ def test_a_force_that_leaves_its_reference_after_settling_is_described(low_or_hi
     )
 
 
+@pytest.mark.deep
 def test_a_simulation_warns_of_a_force_that_leaves_its_reference():
     scene = ms.Scene.load("sphere_noisy")
     fast = replace(scene.exploration, speed=0.4, ramp=0.02, turn_rate=10.0)

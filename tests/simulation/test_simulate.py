@@ -22,6 +22,7 @@ def motion(recording, name):
     return recording.motion.column(name).to_numpy()
 
 
+@pytest.mark.deep
 def test_the_force_settles_on_its_reference_and_contact_is_never_lost(recording):
     got = force_response(motion(recording, "time"), motion(recording, "force"), 3.0)
     assert got.mean == pytest.approx(3.0, rel=0.01)

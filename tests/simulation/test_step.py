@@ -194,6 +194,7 @@ def test_at_its_torque_limit_a_joint_has_the_stiffness_of_the_contact_alone(arm,
     assert not unlimited.any()
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("shape", ["inertia", "identity"])
 def test_the_linearly_implicit_step_solves_its_equation(arm, body, shape):
     """(M + h L + h^2 a b^T) dv = h (f - h a (b . qdot)) at a speed into the contact."""

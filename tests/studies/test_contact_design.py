@@ -57,6 +57,7 @@ def test_the_slope_is_that_of_the_mean_error():
         assert -np.sum(slope * way) == pytest.approx((ahead - behind) / 2, rel=1e-6)
 
 
+@pytest.mark.deep
 def test_the_bound_is_met_and_no_design_is_below_it(scene, belief, found):
     taxels = scene.skin.positions
     assert found.weights.sum() == pytest.approx(1.0)

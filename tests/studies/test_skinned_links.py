@@ -11,6 +11,7 @@ def study(script):
     return script("skinned_links")
 
 
+@pytest.mark.deep
 def test_a_folder_of_meshes_is_measured(study, monkeypatch, tmp_path, capsys):
     trimesh.creation.icosphere(subdivisions=4, radius=0.04).export(tmp_path / "ball.obj")
     trimesh.creation.icosphere(subdivisions=2, radius=0.001).export(tmp_path / "tiny.stl")

@@ -45,6 +45,7 @@ def report(scene, stages):
     return ms.budget(scene, 0.2e-3, progress=lambda *told: stages.append(told))
 
 
+@pytest.mark.deep
 def test_each_stage_counts_to_its_end(report, stages):
     for name in ("budget", "check"):
         counts = [told[1:] for told in stages if told[0] == name]

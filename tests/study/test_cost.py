@@ -56,6 +56,7 @@ def test_second_routes_confirm_the_reference(costs):
     assert 0 < routes["contact"].mean_mm < 0.005
 
 
+@pytest.mark.deep
 def test_the_numerical_part_is_of_the_integrators_order(costs):
     """Semi-implicit Euler: twice the step, twice the shift, and far below the noise."""
     own = costs.rows[0]

@@ -292,6 +292,7 @@ def test_a_second_run_on_the_same_folder_is_refused(tmp_path):
     assert len(results(out)) == 12
 
 
+@pytest.mark.deep
 def test_an_incomplete_result_is_run_again(tmp_path):
     study, out = slow_study(tmp_path / "marks", sleep=0.0), tmp_path / "a"
     study.sweep(out)

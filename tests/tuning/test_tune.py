@@ -59,6 +59,7 @@ def kept(shooting, gains, demands, target):
     return bool(good), predicted.duration
 
 
+@pytest.mark.deep
 def test_the_simulator_confirms_what_was_predicted(small, tuned):
     seen = tuned.confirm()
     assert seen.difference < 0.02

@@ -265,6 +265,7 @@ def test_a_reading_beyond_a_pause_is_left_out(world):
     np.testing.assert_array_equal(inside, (row >= 0) & ~crosses)
 
 
+@pytest.mark.deep
 def test_contacts_moved_into_a_hollow_keep_the_curvatures_that_they_have(noisy, noisy_recording):
     """As at the creases of a mesh, where unknown offsets move contacts: no trial ends the run."""
     data = gather(noisy_recording, noisy.belief())

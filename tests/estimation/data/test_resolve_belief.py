@@ -111,6 +111,7 @@ def soft(world):
     return seen, recording, told, ms.calibrate(recording, told)
 
 
+@pytest.mark.deep
 def test_the_response_is_learned_where_no_contact_model_holds(soft):
     seen, recording, told, found = soft
     with pytest.raises(ContactError, match="too wide for the contact model elliptic"):

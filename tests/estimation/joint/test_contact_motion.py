@@ -27,6 +27,7 @@ def turned(world):
     return record(world, points=believed), headings
 
 
+@pytest.mark.deep
 def test_the_indenter_offset_is_a_special_case(world, turned):
     recording, headings = turned
     known = calibrate(

@@ -88,6 +88,7 @@ def test_silent_readings_keep_the_modulus_unbiased(world):
     assert np.abs(np.mean(bias, axis=0)).max() < 0.02
 
 
+@pytest.mark.deep
 def test_a_wrong_start_is_restarted_from_the_centroid(world):
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
     good = trilaterate.least_squares(data)

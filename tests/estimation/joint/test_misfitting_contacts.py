@@ -17,6 +17,7 @@ def bumps(world, change, every):
     return change(recording, pressure=np.where(bump, 1.06, 1.0) * recording.pressure)
 
 
+@pytest.mark.deep
 def test_few_contacts_are_left_out_and_taxels_keep_their_uncertainty(world, change):
     belief = world.belief(0.01, 0.05)
     clean = calibrate(world.record(0.01, 0.05), belief)
@@ -29,6 +30,7 @@ def test_few_contacts_are_left_out_and_taxels_keep_their_uncertainty(world, chan
     assert not any(found.faults)
 
 
+@pytest.mark.deep
 def test_many_contacts_are_a_misfit_of_the_model(world, change):
     found = calibrate(bumps(world, change, 4), world.belief(0.01, 0.05))
     assert found.fit.good is False

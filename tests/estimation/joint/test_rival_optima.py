@@ -48,6 +48,7 @@ def strip_recording(scene, far):
     return ms.press(scene, np.concatenate([strip, middle[away]]), seed=3)
 
 
+@pytest.mark.deep
 def test_a_taxel_touched_along_a_line_has_a_rival_at_its_mirror_image(line):
     scene, calibration, far = line
     truth, estimate = scene.skin.positions[far], calibration.positions[far]

@@ -119,6 +119,7 @@ def test_reading_at_rest(world):
     assert np.count_nonzero(rest > 0.06) == 2
 
 
+@pytest.mark.deep
 def test_a_gain_that_no_sound_taxel_has_is_named(world):
     gain = spread(world)
     gain[7] = 0.3

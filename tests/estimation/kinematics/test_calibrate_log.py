@@ -62,6 +62,7 @@ def check(exploration, found, ratio, already=0.0):
     assert np.mean(nees(found.calibration, exploration.scene.skin)) < 3.0
 
 
+@pytest.mark.deep
 def test_an_indenter_deeper_than_its_radius_is_refused(small):
     kinematics = small.kinematics(**KNOWN)
     raised = replace(kinematics, indenter=kinematics.indenter + np.array([0, 0, 0.01]))
@@ -83,6 +84,7 @@ def explored(small):
         return calibrate_log(small.log, small.kinematics(**KNOWN), belief(small)), clocks
 
 
+@pytest.mark.deep
 def test_a_small_exploration(small, explored):
     found, clocks = explored
     assert clocks[-1] == pytest.approx(CLOCK, abs=0.01)  # contacts are chosen where they happened

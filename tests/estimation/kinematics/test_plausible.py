@@ -33,6 +33,7 @@ def exchanged(angles):
     return angles[:, [0, 2, 1, 3, 4, 5]]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("mistake", "words"),
     [

@@ -244,6 +244,7 @@ def bell_shaped():
     return calibrate(log, belief(contact="hertz")), calibrate(log, belief())
 
 
+@pytest.mark.deep
 def test_a_bell_shaped_profile_is_learned(bell_shaped):
     model, learned = bell_shaped
     assert learned.response is not None

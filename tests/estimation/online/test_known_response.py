@@ -53,6 +53,7 @@ def replayed(raw):
     return known, online
 
 
+@pytest.mark.deep
 def test_taxels_are_where_the_batch_estimate_puts_them(raw, replayed):
     found, online = raw[0], replayed[1]
     apart = np.linalg.norm(online.positions - found.positions, axis=1)

@@ -61,6 +61,7 @@ def sigmas_apart(online, calibration):
     return gap / calibration.position_sigma
 
 
+@pytest.mark.deep
 def test_the_running_estimate_is_the_batch_estimate(online, batch):
     found = np.isfinite(batch.positions[:, 0])
     assert np.array_equal(np.isfinite(online.positions[:, 0]), found)

@@ -196,6 +196,7 @@ def drawn(world):
     return data, *measured_with_errors(data, draws=60)
 
 
+@pytest.mark.deep
 def test_random_errors_agree_with_the_information(drawn):
     data, graph, errors = drawn
     again, none = measured_with_errors(data, draws=0)

@@ -44,6 +44,7 @@ def log(scene, signs, moved=0.0):
     return replace(made, metadata={})
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("signs", "level", "words"),
     [((1.0, 1.0, 1.0), "PASS", ""), ((1.0, -1.0, 1.0), "FAIL", "axes as (x, -y, z)")],

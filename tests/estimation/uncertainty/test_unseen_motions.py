@@ -25,6 +25,7 @@ def calibrated(body, direction, moved=0.0, count=20):
     return found, found.positions - skin.positions
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("moved", [0.0, 1e-3])
 def test_a_slide_along_a_cylinder_is_named(moved):
     """By 1 mm the whole map is displaced, and nothing in the log shows it."""
