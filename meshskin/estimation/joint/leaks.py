@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
+from ...core.arrays import Array
 from .departures import FittedReadings
 from .electronics import FAR, NEXT, near_pairs, nearest
 from .small_effects import SmallEffects, most_likely
@@ -156,13 +156,13 @@ class _Shares:
         size, kept, n = len(fitted.own), _other_parameters(fitted), len(matrix)
         width = int(at[1].max(initial=-1)) + 1
         by_own = np.linalg.solve(matrix[:, :size, :size], matrix[:, :size])
-        left = matrix - np.swapaxes(matrix[:, :size], 1, 2) @ by_own
         right = slope - np.einsum("nij,ni->nj", by_own, slope[:, :size])
         others, rest = slice(size, size + width), size + width + kept
-        coupling = left[:, others][:, :, rest]
-        common = left[:, rest[:, None], rest].sum(axis=0)
+        known = matrix[:, rest[:, None], rest].sum(axis=0)
+        matrix -= np.swapaxes(matrix[:, :size], 1, 2) @ by_own
+        coupling = matrix[:, others][:, :, rest]
+        common = matrix[:, rest[:, None], rest].sum(axis=0)
         if fitted.system is not None:  # with their priors
-            known = matrix[:, rest[:, None], rest].sum(axis=0)
             common += fitted.system.shared[np.ix_(kept, kept)] - known
         first, second = np.divmod(key, n)
         distance = np.linalg.norm(fitted.points[first] - fitted.points[second], axis=1)
@@ -171,7 +171,7 @@ class _Shares:
         kind = np.where(near, NEIGHBOURS, DISTANT)
         kind = np.where(apart == 1, NEXT_ID, np.where(apart == -1, LAST_ID, kind))
         by_common = coupling[at] @ _inverse_root(common)
-        own = left[:, others, others]
+        own = matrix[:, others, others].copy()
         moved = np.asarray(by_own[:, :2, others])
         found = cls(key, near, kind, at, own, by_common, right[:, others][at], moved)
         leaks = fitted.data.leaks
@@ -272,12 +272,13 @@ def _normal_equations(
     columns[:, :size], columns[:, first:] = fitted.own.T, shared
     columns[row, size + slot[owner]] = gain[row] * pressure[column] / gain[column]
     matrix = np.empty((n, columns.shape[1], columns.shape[1]))
+    slope = np.empty(matrix.shape[:2])
     for k in range(n):
         mine = slice(*readings.starts[k : k + 2])
         part = columns[mine]
         matrix[k] = part.T @ (fitted.curvature[mine, None] * part)
+        slope[k] = -(fitted.rate[mine] @ part)
     diagonal = np.einsum("nii->ni", matrix)
     diagonal[:, :size] += fitted.prior
     diagonal[:, :first] += RIDGE * diagonal[:, :first] + TINY
-    slope = -sums_by_group(columns * fitted.rate[:, None], readings.taxel, n)
     return key, (taxel, slot), matrix, slope
