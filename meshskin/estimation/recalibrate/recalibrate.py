@@ -42,9 +42,9 @@ from .touches import Touches
 
 FALSE_ALARM = 0.01
 """Default bound on the probability that anything is found where nothing changed."""
-MAX_PASSES, USUAL_PASSES = 6, 5
+MAX_PASSES, USUAL_PASSES = 6, 3
 """Most passes over all units from each of two starts, each with the errors by the states of the
-last, and what is usual of both starts together."""
+last, and what is usual where nothing has changed, with the pass that finds this."""
 
 
 @single_threaded()
@@ -81,7 +81,11 @@ def recalibrate(
     touches = read(recording, belief, known)
     limit = float(np.log(len(known.units) / false_alarm))
     stage = Stage(progress, "recalibrate", USUAL_PASSES * len(known.units))
-    fits = [_settled(touches, limit, wide, stage) for wide in (True, False)]
+    states = [unchanged(known, unit) for unit in range(len(known.units))]
+    fits = [_settled(touches, limit, states, stage)]
+    found = _judged(touches, limit, error_model.start(touches), stage)
+    if any(evidence.changes for evidence in found):  # else the second fit is the first
+        fits.append(_settled(touches, limit, [evidence.state for evidence in found], stage))
     stage.end()
     errors, found = max(fits, key=lambda fit: _score(fit[0], fit[1], touches, limit))
     findings = _findings(known, found)
@@ -108,26 +112,28 @@ def recalibrate(
 
 
 def _settled(
-    touches: Touches, limit: float, wide: bool, stage: Stage
+    touches: Touches, limit: float, states: list[Hypothesis], stage: Stage
 ) -> tuple[Errors, list[Evidence]]:
-    """Errors and states that agree. They start from all units unchanged, with the errors that this
-    takes (`wide`), or from ordinary errors, with the changes that this takes."""
-    units = range(len(touches.known.units))
-    states: list[Hypothesis] = [unchanged(touches.known, u) for u in units]
+    """Errors and states that agree, from the errors that `states` of the units take."""
     errors, seen = error_model.start(touches), []
-    for k in range(MAX_PASSES):
-        if wide or k:
-            errors = error_model.fit(touches, states, errors)
-        found = []
-        for u in units:
-            found.append(judge(touches, u, errors, limit))
-            stage.step()
+    for _ in range(MAX_PASSES):
+        errors = error_model.fit(touches, states, errors)
+        found = _judged(touches, limit, errors, stage)
         states = [evidence.state for evidence in found]
         signature = [(h.state, h.taxel, h.value) for h in states]
-        if signature in seen and (wide or k):
+        if signature in seen:
             break
         seen.append(signature)
     return errors, found
+
+
+def _judged(touches: Touches, limit: float, errors: Errors, stage: Stage) -> list[Evidence]:
+    """What the readings say of each unit with these errors: one pass."""
+    found = []
+    for unit in range(len(touches.known.units)):
+        found.append(judge(touches, unit, errors, limit))
+        stage.step()
+    return found
 
 
 def _score(errors: Errors, found: list[Evidence], touches: Touches, limit: float) -> float:

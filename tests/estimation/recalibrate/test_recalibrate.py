@@ -64,7 +64,7 @@ def test_a_turned_module_is_found_and_the_others_are_confirmed(setting):
     found = ms.recalibrate(
         scene.skin, recording, scene.belief(), progress=lambda *at: heard.append(at)
     )
-    assert heard[0] == ("recalibrate", 0, 35)
+    assert heard[0] == ("recalibrate", 0, 21)
     assert heard[-1][1] == heard[-1][2] >= 14  # 7 modules from two starts
     (finding,) = found.findings
     assert (finding.unit, finding.number, finding.state) == ("module", 4, "turned")
