@@ -139,7 +139,7 @@ def recorded(options: argparse.Namespace) -> FromLog:
     """The recording in two tables, and the belief about it."""
     from ..recording.recording import Recording
 
-    remedy = "give --map, too, or leave it out"
+    remedy = "give --map, too (`meshskin init LOG` writes a map), or leave it out"
     refuse(options, log_options.NAMES, "{} is for a robot's log", remedy)
     recording = Recording.load(options.recording)
     every = recording.metadata.get("taxel_ids") or np.unique(recording.reading_taxel)

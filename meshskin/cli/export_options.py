@@ -88,8 +88,10 @@ class Export:
         """Write the determined taxels; returns what was written where, for the summary.
 
         mount: pose (4, 4), m, of the body in the frame of its link, where it was estimated.
-        Raises CalibrationError where none is determined, SkinError, OutputError.
+        Nothing is written where none is determined. Raises SkinError, OutputError.
         """
+        if not np.isfinite(found.positions).all(axis=1).any():
+            return f"  export           {self.path} is not written: no taxel is determined"
         skin = found.skin if mount is None else found.skin.moved(mount)
         if self.pose is not None:
             skin = skin.moved(transform(from_rpy(np.array(self.pose[3:])), self.pose[:3]))

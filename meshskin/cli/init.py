@@ -255,12 +255,13 @@ NO_PLACES = """\
 
 
 def log_map(file: Path, out: Path) -> tuple[str, str]:
-    """The text of a map of a log, and the command that reads the log by it. Raises ConfigError."""
+    """The text of a map of a log, and the command that reads the log by it; the streams are
+    printed. Raises ConfigError."""
     from ..recording import csv_log
     from ..recording.log_map import LogMap
     from ..recording.readers import read_and_suggest
     from ..recording.stream import CONTACTS, JOINTS, POSE
-    from .log import first_map
+    from .log import first_map, listing
 
     if csv_log.find(file):
         raise ConfigError(
@@ -269,6 +270,7 @@ def log_map(file: Path, out: Path) -> tuple[str, str]:
         )
     log, could = read_and_suggest(file, progress=True)
     first = first_map(log, could, [])
+    print(*listing(log, could), sep="\n")
     lines = [
         f"# The map of {file.name}, proposed by `meshskin init`: what each of its streams is.",
         "# Remove what is not used, and correct kind, unit and values.",

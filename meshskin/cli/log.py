@@ -234,7 +234,7 @@ def summary(frames: LogFrames, log: Log) -> Iterator[str]:
     found = frames.skin_log
     for name, tared in frames.tared.items():
         live = tared.noise > 0
-        silent = f", {(~live).sum()} taxels never change" if not live.all() else ""
+        silent = f", taxels that never change: {(~live).sum()}" if not live.all() else ""
         yield (
             f"  {name}: readings {'fall' if tared.falling else 'rise'} under pressure, noise "
             f"{tared.noise[live].mean():.3g}, drift {tared.drift[live].mean():.3g} "

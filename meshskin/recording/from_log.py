@@ -139,8 +139,8 @@ def _contact_points(pairs: Pairs, time: Array) -> tuple[Array, Array, Array | No
             "the map must name one stream of contact points, and at most one of the body's poses",
             value=f"{len(contacts)} of contacts, {len(poses[CONTACT])} of contact poses, "
             f"{len(poses[BODY])} of body poses",
-            remedy='add a stream of kind = "contacts", or "pose" with of = "contact"; without one, '
-            "contacts are computed from joint angles",
+            remedy='add a stream of kind = "contacts", or "pose" with of = "contact"; contacts '
+            "from joint angles need --indenter-mm with --urdf and --link (ms.calibrate_log)",
         )
     if contacts:
         return (*_of_contacts(*contacts[0], time), None)

@@ -34,7 +34,11 @@ def check_joints(pairs: Pairs, robot: Robot) -> Iterator[str]:
         known = [name for name in stream.fields if name in moving]
         if stream.fields and not known:
             raise UnknownNameError(
-                "joint", stream.fields[0], moving, f" of {stream.name} in {file}"
+                "joint",
+                stream.fields[0],
+                moving,
+                f" of {stream.name} in {file}; the map's key "
+                "names gives the joints in the order of the columns",
             )
         held.update(known)
         yield f"{stream.name}: {len(known)} of {len(stream.fields)} joints are in {file}"

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from ..estimation.calibrate import CONSTANT
 from ..estimation.uncertainty.metrics import is_ideal, nees_band
 from ..exploration.left_out import GIVEN_UP
 from .data import ReportData, has_gauge_freedom
@@ -132,8 +133,11 @@ def _contacts(data: ReportData) -> list[str]:
     if c.method == "none":
         return []
     ids, steps = np.asarray(c.ids), []
-    untouched = ~data.touched
-    weak = data.touched & ~np.asarray(c.observed, dtype=bool)[:, :2].all(axis=1)
+    constant = np.asarray(c.reasons) == CONSTANT
+    if constant.any():
+        steps.append(f"Check the wiring of {_named(ids[constant])}: the same reading all the time.")
+    untouched = ~data.touched & ~constant
+    weak = data.touched & ~np.asarray(c.observed, dtype=bool)[:, :2].all(axis=1) & ~constant
     reasons = {} if data.recording is None else data.recording.metadata.get("unreachable", {})
     reason_of = np.array([reasons.get(str(k), "") for k in ids.tolist()], dtype=object)
     left_out = (untouched | weak) & (reason_of != "")
@@ -149,12 +153,12 @@ def _contacts(data: ReportData) -> list[str]:
     untouched, weak = untouched & ~left_out, weak & ~left_out
     if untouched.any():
         steps.append(
-            f"Extend the contact path to {_named(ids[untouched])}, or mark them as defective."
+            f"Extend the contact path to {_named(ids[untouched])}, or mark what is defective."
         )
     if weak.any():
         steps.append(
-            f"Pass {_named(ids[weak])} on both sides: they were touched, but from too "
-            "few sides to determine their position along the skin."
+            f"Pass {_named(ids[weak])} on both sides: the contacts do not determine the "
+            "position along the skin."
         )
     few = data.touched & ~weak & ~left_out & (np.asarray(c.readings) < FEW_READINGS)
     if few.any():

@@ -1,6 +1,7 @@
 """The exported skin map: its frame, its parent link, and what is said of it."""
 
 import argparse
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -42,6 +43,14 @@ def test_a_format_alone_names_a_file_in_the_folder_of_the_results(found, tmp_pat
         export = Export.of(options("--body", "arm.stl", "--out", tmp_path, "--export", name))
         assert str(tmp_path / file) in export.write(found)
         assert len(ms.Skin.load(tmp_path / file)) == 80
+
+
+def test_nothing_is_written_without_a_determined_taxel(found, tmp_path):
+    lost = replace(found, poses=np.full_like(found.poses, np.nan))
+    asked = options("--body", "arm.stl", "--out", tmp_path, "--export", "urdf")
+    line = Export.of(asked).write(lost)
+    assert line.endswith("skin.urdf is not written: no taxel is determined")
+    assert not (tmp_path / "skin.urdf").exists()
 
 
 def test_a_link_of_a_urdf_is_the_frame(found, tmp_path):

@@ -1,6 +1,7 @@
 """`meshskin effects`, `init`, `report` and `scenes --show`, as a user meets them."""
 
 import json
+import re
 import shutil
 import tomllib
 from dataclasses import replace
@@ -120,6 +121,9 @@ def test_init_writes_the_map_of_a_log(tmp_path, monkeypatch, capsys):
     table = np.column_stack(list(columns.values()))
     np.savetxt("run.csv", table, "%.6f", ",", header=",".join(columns), comments="")
     assert cli.main(["init", "run.csv"]) == 0
+    printed = capsys.readouterr().out
+    assert "run.csv: 2 streams" in printed
+    assert re.search(r"joints +300 +100 .* joints", printed)
     text = (tmp_path / "run_map.toml").read_text()
     assert "300 samples at 100 Hz" in text
     assert ms.LogMap.load("run_map.toml").streams

@@ -82,6 +82,14 @@ def test_an_obj_names_objects_groups_and_materials(ball, tmp_path, key):
     assert_parts(body, ball)
 
 
+def test_none_is_no_material_of_an_obj(ball, tmp_path):
+    """Blender writes `usemtl None` where there is no material."""
+    some = {"None" if name == "palm" else name: rows for name, rows in parts(ball).items()}
+    write_obj(tmp_path / "hand.obj", ball.vertices, ball.faces, some, "usemtl")
+    patches = Body.load(tmp_path / "hand.obj", units="m").patches
+    assert set(patches) == {*parts(ball)} - {"palm"}
+
+
 def test_a_glb_names_nodes_and_meshes(ball, tmp_path):
     write_glb(tmp_path / "hand.glb", ball, parts(ball))
     body = Body.load(tmp_path / "hand.glb")

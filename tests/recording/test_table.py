@@ -61,6 +61,20 @@ def test_times_in_their_unit(tmp_path, column, unit, scale):
     np.testing.assert_allclose(log.streams[0].times, times, atol=1e-12)
 
 
+def test_a_unit_of_time_in_brackets_names_the_times(tmp_path):
+    """Where no column has a usual name: Zeit [ms]."""
+    times = 0.02 * np.arange(N)
+    joint = {"shoulder_joint": np.ones(N)}
+    for columns, name in (
+        ({"Delay [ms]": 0 * times, "time_ms": 1e3 * times}, "time_ms"),
+        ({"Zeit [ms]": 1e3 * times}, "Zeit [ms]"),
+    ):
+        log, could = read_and_suggest(csv(tmp_path / "log.csv", columns | joint))
+        np.testing.assert_allclose(log["joints"].times, times, atol=1e-12)
+        assert could["joints"][0].kind == "joints"
+        assert name not in could
+
+
 def test_joints_by_a_word_of_their_name(tmp_path):
     names = ("shoulder_pan_joint", "panda_joint1", "joint_2", "q", "angle_deg", "quality")
     path = csv(

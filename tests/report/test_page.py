@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from meshskin.core.errors import OutputError, UnknownNameError
+from meshskin.estimation.calibrate import CONSTANT
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.cross_validation import CrossValidation
 from meshskin.estimation.demonstration import Demonstration
@@ -401,6 +402,15 @@ def test_advice_follows_the_numbers(case: SimpleNamespace) -> None:
     assert "Check taxel 11:" in text
     assert "more often (fewer than 12 readings each): 12." in text
     assert "Pass taxel 13 on both sides" in text
+
+
+def test_a_constant_reading_is_a_matter_of_wiring(case: SimpleNamespace) -> None:
+    reasons = np.asarray(case.calibration().reasons, dtype=object).copy()
+    reasons[3] = CONSTANT
+    f = collect(replace(case.calibration(), reasons=reasons), None)
+    text = " ".join(next_steps(f))
+    assert "Check the wiring of taxel 3: the same reading all the time." in text
+    assert "Extend the contact path to taxel 40, or" in text
 
 
 def test_nothing_is_advised_about_numbers_where_no_taxel_was_located(case: SimpleNamespace) -> None:

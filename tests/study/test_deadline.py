@@ -188,19 +188,27 @@ def test_a_first_run_ends_as_soon_as_its_pace_is_known(noisy, monkeypatch):
     assert seen[-1] == 11
 
 
-@pytest.mark.deep
-def test_figures_that_do_not_fit_are_left_out_and_named(noisy_recording, noisy, tmp_path):
+@pytest.mark.parametrize(
+    ("at", "drawn"), [(0, set()), pytest.param(3, {"fig5_estimates"}, marks=pytest.mark.deep)]
+)
+def test_figures_that_do_not_fit_are_left_out_and_named(
+    noisy_recording, noisy, tmp_path, at, drawn
+):
+    """Also where the time is used up before the first one."""
+
     def late(stage, done, total):
-        if done == 3:
+        if done == at:
             raise OutOfTime("the time is used up")
 
     found = Estimation(noisy_recording, noisy.belief()).calibrate("centroid")
     data = ReportData(found, truth=noisy.skin)
     written, left_out = page.draw(tmp_path / "report.html", data, late)
-    drawn = {file.stem for file in written}
-    assert drawn == {"report", "fig5_estimates"}
-    assert left_out == ["errors", "uncertainty", "coverage", "iterations", "accuracy time"]
-    assert "Not drawn, because there was no time: errors, unc" in written[0].read_text()
+    assert {file.stem for file in written} == {"report", *drawn}
+    last = ["errors", "uncertainty", "coverage", "iterations", "accuracy time"]
+    assert left_out[-5:] == last
+    assert ("estimates" in left_out) is not bool(drawn)
+    named = ", ".join(left_out[:2])
+    assert f"Not drawn, because there was no time: {named}" in written[0].read_text()
 
 
 @pytest.mark.slow

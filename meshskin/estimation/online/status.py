@@ -85,7 +85,7 @@ class OnlineStatus(Value):
     weak: int = 0
     """Taxels that were read, but whose place is not determined, or not unique."""
     unseen: int = 0
-    """Taxels that no contact has been read by."""
+    """Taxels without a reading above five standard deviations of the noise."""
     median_sigma: float = np.nan
     """Median standard deviation, m, of the determined taxels' positions; NaN without any."""
     worst_sigma: float = np.nan

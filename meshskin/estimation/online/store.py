@@ -20,6 +20,9 @@ from ..data.resolve_belief import nominal_patches
 TREE_STEP = 1000
 """Contacts after which the search tree is built again: 1 ms at 10,000, and the rest is searched
 one by one, in 0.1 ms."""
+RESPONSE = 5.0
+"""Standard deviations of the noise from which a reading is a response: where the threshold is below
+them, untouched taxels have readings of noise, which tell no place."""
 TYPICAL = ("nominal_peak", "typical_curvature")
 """What a learned response refers to: medians over the contacts that it was learned from."""
 
@@ -83,7 +86,7 @@ class ContactStore:
         self.rows: list[list[int]] = [[] for _ in first.ids]
         """Rows of the readings of each taxel."""
         self.counts = np.zeros(len(first.ids), dtype=int)
-        """Readings (n,) of each taxel."""
+        """Responses (n,) of each taxel."""
         self.lowest = np.inf
         """The smallest reading, Pa."""
         self._mass, self._moment = np.zeros(len(first.ids)), np.zeros((len(first.ids), 3))
@@ -97,7 +100,7 @@ class ContactStore:
 
     @property
     def means(self) -> Array:
-        """Mean contact points (n, 3), m, weighted by pressure squared; NaN without readings."""
+        """Mean contact points (n, 3), m, weighted by pressure squared; NaN without responses."""
         with np.errstate(invalid="ignore"):
             return np.asarray(self._moment / self._mass[:, None])
 
@@ -130,13 +133,17 @@ class ContactStore:
         self.taxel.append(taxel)
         self.pressure.append(pressure)
         self.weight.append(np.ones(len(pressure)))
-        weight = np.nan_to_num(pressure) ** 2
+        high = self._responses(pressure)
+        weight = np.where(high, pressure, 0.0) ** 2
         np.add.at(self._mass, taxel, weight)
         np.add.at(self._moment, taxel, weight[:, None] * block.points[contact])
-        sound = np.isfinite(pressure)
-        np.add.at(self.counts, taxel[sound], 1)
-        self.lowest = min(self.lowest, float(pressure[sound].min(initial=np.inf)))
+        np.add.at(self.counts, taxel[high], 1)
+        self.lowest = float(np.fmin(self.lowest, np.nanmin(pressure, initial=np.inf)))
         return first, first_reading
+
+    def _responses(self, pressure: Array) -> np.ndarray:
+        """Whether readings (k,), Pa, are responses (bool); NaN is none."""
+        return np.asarray(pressure > RESPONSE * self.template.sigma)
 
     def refer(self, template: Measurements) -> None:
         """Take measurements without contacts that have all else, as another contact model."""
@@ -174,12 +181,12 @@ class ContactStore:
         return table, pa.table(readings, schema=schema)
 
     def latest(self, count: int) -> Measurements:
-        """Measurements of all taxels in the latest contacts, at most `count`."""
+        """Responses of all taxels in the latest contacts, at most `count`."""
         contacts = np.argsort(self.columns["recorded"].values, kind="stable")[-count:]
         row = np.full(self.count, -1)
         row[contacts] = np.arange(len(contacts))
         rows = np.flatnonzero(row[self.contact.values] >= 0)
-        rows = rows[np.isfinite(self.pressure.values[rows])]
+        rows = rows[self._responses(self.pressure.values[rows])]
         return replace(
             self.template,
             points=self.columns["points"].values[contacts],

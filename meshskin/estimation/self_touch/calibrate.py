@@ -51,6 +51,12 @@ class SelfTouch(Value):
     factors: tuple[str, ...]
     """What the estimate is made of."""
 
+    def __repr__(self) -> str:
+        here, there = map(len, self.positions)
+        words = f"{here} and {there} taxels, {1e3 * self.scatter:.3g} mm scatter"
+        words += f", {len(self.undetermined)} directions undetermined"
+        return f"<SelfTouch: {words}, {len(self.contradicted)} priors contradicted>"
+
     def distances(self, first: TouchSide, second: TouchSide) -> Array:
         """Distances (m,), m, of the two contacts of each touch, which may be others than those of
         the estimate."""
@@ -187,8 +193,9 @@ def _undetermined(
     for share, vector in zip(left, vectors.T, strict=True):
         if share > UNDETERMINED**2:
             main = np.argsort(-np.abs(vector))[:3]
-            parts = [f"{vector[k]:+.1f} {names[known[k]]}" for k in main if abs(vector[k]) > 0.2]
-            found.append(", ".join(parts))
+            parts = {names[known[k]]: f"{vector[k]:+.1f} " for k in main if abs(vector[k]) > 0.2}
+            alone = len(parts) == 1
+            found.append(", ".join(name if alone else x + name for name, x in parts.items()))
     return tuple(found)
 
 

@@ -24,6 +24,10 @@ from ...core.se3 import exp_so3, hat
 from ...core.value import Value
 from ...robot.chain import Chain
 
+TURNS, FARTHEST = 4 * np.pi, 3.0
+"""Largest angle, rad, and distance of a taxel from the origin of its link, m: larger ones are in
+degrees or in mm."""
+
 
 @dataclass(frozen=True, eq=False)
 class TouchSide(Value, NamedFields):
@@ -75,6 +79,16 @@ class TouchSide(Value, NamedFields):
                     value=getattr(self, name).shape,
                     limit=shape,
                 )
+        for name, unit, other, limit in (
+            ("angles", "rad", "degrees", TURNS), ("positions", "m", "mm", FARTHEST)
+        ):  # fmt: skip
+            if (largest := np.abs(getattr(self, name)).max(initial=0.0)) > limit:
+                raise CalibrationError(
+                    f"{name} of a skin are too large",
+                    value=f"{largest:.3g} {unit}",
+                    limit=f"{limit:.3g} {unit}",
+                    remedy=f"convert them to {unit} if they are in {other}",
+                )
         whole = np.issubdtype(patch.dtype, np.integer) and n and patch.min() >= 0
         if not whole or len(np.unique(patch)) != patch.max() + 1:
             raise CalibrationError("patches of a skin must be numbered from 0 without gaps")
@@ -83,6 +97,10 @@ class TouchSide(Value, NamedFields):
                 "in each touch a taxel must read above 0, and none below",
                 remedy="leave out frames in which one of the two skins is silent",
             )
+
+    def __repr__(self) -> str:
+        n, touches, joints = len(self.positions), *self.angles.shape
+        return f"<TouchSide: {n} taxels in {touches} touches, moved by {joints} joints>"
 
     def of(self, rows: ArrayLike) -> TouchSide:
         """This side in some of the touches: indices or a mask."""

@@ -38,6 +38,8 @@ def read(text: str, file: str) -> tuple[Array, Index, dict[str, Index]]:
                 for b, c in pairwise(corner[2:]):
                     faces += corner[0], b, c
             elif key in ("o", "g", "usemtl"):
+                if words == ["usemtl", "None"]:  # Blender's word for no material
+                    values = []
                 part[key] = tuple(values) if key == "g" else (" ".join(values),)
                 names = [name for kind in part.values() for name in kind if name]
                 spans.append((len(faces) // 3, tuple(dict.fromkeys(names))))

@@ -56,9 +56,12 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def is_time(name: str) -> bool:
-    """Whether a column is named as one of times, alone or with a unit of time."""
+    """Whether a column is named as one of times, alone or with a unit of time, or has such a unit
+    in brackets after any name: Zeit [ms]."""
     base, unit = split_unit(name.lower().lstrip("%_ "))
-    return base in TIME_NAMES and (not unit or unit in TIME_UNITS)
+    if base in TIME_NAMES:
+        return not unit or unit in TIME_UNITS
+    return unit in TIME_UNITS and name.rstrip()[-1] in ")]"
 
 
 def groups(names: Sequence[str]) -> dict[str, list[str]]:

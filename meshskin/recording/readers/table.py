@@ -129,7 +129,7 @@ def _time_columns(file: CsvFile | ParquetFile, asked: str) -> list[str]:
     if asked and asked in names:
         return [asked]
     if not asked and (named := [name for name in names if is_time(name)]):
-        return named[:1]
+        return [min(named, key=lambda name: not is_time(split_unit(name)[0]))]
     for name in names:
         start, _, end = name.rpartition(".")
         start = f"{start}." if start else ""

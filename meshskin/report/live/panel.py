@@ -71,7 +71,7 @@ class Panel:
         highest = float(np.max(stage.recording.force, initial=1e-3))
         top = (0.0, 1.15 * highest)
         measured = "" if stage.recording.force_measured else ", not measured"
-        title = f"contact force (N){measured}"
+        title = f"contact force (N), at most {highest:.3g}{measured}"
         self.force = _chart(gui, title, "time (s)", ("force",), range=top)
         sigma = "sigma of the determined taxels (mm)"
         self.sigma = _chart(gui, sigma, "contacts", ("median", "worst"), distr=LOGARITHMIC)

@@ -1,5 +1,6 @@
 """A skin, joint offsets and a clock offset from joint angles and raw counts alone."""
 
+import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -100,6 +101,13 @@ def test_a_small_exploration(small, explored):
     assert contradiction.startswith(
         f"contacts still moved by 0.4 mm in the last of {found.rounds} round"
     )
+    # without a determined taxel nothing warns of an empty median
+    lost = replace(
+        found.calibration, covariances=np.full_like(found.calibration.covariances, np.inf)
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert replace(found, calibration=lost).contradictions == ()
     doubted = replace(found.kinematics, unknown=KNOWN | {"clock_offset": 5e-3})
     tight = replace(found, kinematics=doubted)
     (contradiction,) = tight.contradictions

@@ -393,6 +393,22 @@ def test_late_readings_are_a_misfit(world):
     assert "2 frames too late" in status.why
 
 
+def test_noise_above_a_threshold_of_zero_is_no_response(world):
+    """Half of the untouched taxels have readings of noise in each frame."""
+    rows = np.arange(len(world.points))[:600:4]
+    online, said = ms.OnlineCalibration(world.belief(NOISE, 0.0)), set()
+    readings = recorded(world, 2)[rows]
+    for begin in range(0, len(rows), 10):
+        part = rows[begin : begin + 10]
+        frames = ms.ContactFrames(world.points[part], world.force[part])
+        said.add(online.update(frames, readings[begin : begin + 10]).verdict)
+    assert said == {"keep going"}
+    assert online.status.unseen > 5
+    assert np.sum(readings > 0, axis=0).min() > 20
+    error = np.linalg.norm(online.positions - world.skin.positions, axis=1)
+    assert np.nanmax(error / online.position_sigma) < 5
+
+
 def test_a_reading_that_is_not_finite_is_lost(world, frames):
     contacts, readings = frames
     readings = readings[:60].copy()

@@ -192,3 +192,26 @@ def test_a_start_from_the_result_has_the_same_uncertainty(world):
     assert again.scatter == pytest.approx(first.scatter, rel=0.01)
     # the mount turns the taxels about another arm
     np.testing.assert_allclose(again.sigmas[0], first.sigmas[0], rtol=0.15)
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "words"),
+    [
+        ("angles", 180 / np.pi, "angles .* too large, got .* rad.* if they are in degrees"),
+        ("positions", 1e3, "positions .* too large, got .* m, limit: 3 m.* if they are in mm"),
+    ],
+)
+def test_other_units_are_refused(world, name, factor, words):
+    with pytest.raises(CalibrationError, match=words):
+        replace(world[0], **{name: factor * getattr(world[0], name)})
+
+
+def test_sides_and_results_are_shown_in_one_line(world):
+    arm, base, _ = world
+    assert repr(arm) == "<TouchSide: 36 taxels in 400 touches, moved by 3 joints>"
+    found = ms.self_touch(replace(arm, joint_sigma=0.02), base)
+    assert found.undetermined
+    assert "36 and 400 taxels, 1" in repr(found)
+    assert f"{len(found.undetermined)} directions undetermined, 0 priors" in repr(found)
+    single = [words for words in found.undetermined if ", " not in words]
+    assert all(words.startswith(("first: ", "second: ")) for words in single)
