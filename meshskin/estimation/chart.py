@@ -12,13 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..contact.reading import SHEET_FACING
 from ..core.arrays import Array
 from ..core.se3 import orthonormal_basis, perpendicular, shortest_rotation, transform
 from ..geometry.body import Body
+from ..geometry.surface.closest_point import Closest
 
 STEP = 1e-4
 """Step of the central difference that gives the curvature from the normals, m: small against the
 radii of curvature, and large enough for rounding errors of 1e-12 1/m."""
+COVER = 4e-3
+"""Height over a place, m, up to which a sheet covers it: more than a contact admits between a taxel
+and itself (contact.reading.same_sheet) at 8 mm, and too little for an indenter to get below."""
+SAME = 1e-6
+"""Height, m, up to which two places are on one sheet: rays have single precision."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +90,32 @@ def relinearized(body: Body, charts: Charts, y: Array) -> Charts:
 
     The tangents are continued by the shortest rotation; shape operators and heights are kept.
     """
-    hit = body.closest(charts.at(y))
+    hit = uncovered(body, body.closest(charts.at(y)))
     rotation = align_normals(charts.rotations, hit.normal)
     above = hit.point + charts.height[:, None] * hit.normal
     return replace(charts, points=above, normals=hit.normal, tangents=rotation[:, :, :2])
+
+
+def uncovered(body: Body, hit: Closest) -> Closest:
+    """Surface points `hit`, where another sheet covers them that of this sheet above.
+
+    Beyond the border of a sheet the closest point is on the one below, and back from there it stays
+    below, where no indenter presses; the readings do not tell, as they depend on the place in the
+    tangent plane alone.
+    """
+    if not hasattr(body, "project") or body.surface.smooth:
+        return hit
+    top = hit.point + COVER * hit.normal
+    rows = np.flatnonzero(body.meets(top, -hit.normal) < COVER - body.surface.offsets[hit.face])
+    above = body.project(top[rows], -hit.normal[rows])
+    alike = np.einsum("ni,ni->n", above.normal, hit.normal[rows]) > SHEET_FACING
+    over = alike & (above.distance < COVER - SAME)
+    if not over.any():
+        return hit
+    values = {name: value.copy() for name, value in vars(hit).items()}
+    for name, value in vars(above).items():
+        values[name][rows[over]] = value[over]
+    return replace(hit, **values)
 
 
 def align_normals(rotations: Array, normals: Array) -> Array:

@@ -153,9 +153,7 @@ class Body(Value, Card):
         if not (np.isfinite(o).all() and np.isfinite(d).all() and np.all(length > 0)):
             raise MeshError("rays must be finite, and directions not zero")
         d /= length[:, None]
-        centre, scale, scene = self.embree_scene
-        start = np.ascontiguousarray((o - centre) / scale, dtype=np.float32)
-        first = np.asarray(scene.run(start, d.astype(np.float32)), dtype=np.intp)
+        first = self._flat_hits(o, d)["primID"].astype(np.intp)
         rows = np.flatnonzero(first >= 0)
         hit = self.surface.at(*self.surface.trace(o[rows], d[rows], first[rows]))
         distance = np.sum((hit.point - o[rows]) * d[rows], axis=1)
@@ -168,6 +166,19 @@ class Body(Value, Card):
             spread[name] = np.full((len(o), *values.shape[1:]), missed, dtype=values.dtype)
             spread[name][rows] = values
         return Closest(**spread)
+
+    def meets(self, origins: Array, directions: Array) -> Array:
+        """Distances (n,), m, along rays to the flat mesh, inf where they miss: `origins`,
+        `directions` (n, 3), unit vectors, body frame."""
+        found = self._flat_hits(origins, directions)
+        return np.where(found["primID"] >= 0, self.surface.scale * found["tfar"], np.inf)
+
+    def _flat_hits(self, origins: Array, directions: Array) -> dict[str, Any]:
+        """First hits of rays (n, 3) with the flat mesh, as embree gives them."""
+        centre, scale, scene = self.embree_scene
+        start = np.ascontiguousarray((origins - centre) / scale, dtype=np.float32)
+        found: dict[str, Any] = scene.run(start, directions.astype(np.float32), output=1)
+        return found
 
     @cached_property
     def embree_scene(self) -> tuple[Array, float, Any]:

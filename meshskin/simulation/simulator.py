@@ -34,6 +34,9 @@ AT_LIMIT = 1.0 - 1e-9
 UNIT = 1e-4
 """Error of a unit normal from which a patch counts as folded at the foot point. Rounding reaches
 1e-10 on a face of 86 mm by 0.2 mm; on a sphere of 10 mm this error is 1 um of depth."""
+FORCE_ERROR = 0.05
+"""Error of the force, relative to the reference, from which a foot point beside its face is sought
+on the mesh: there a patch of a long thin triangle, or at a crease, may leave the surface."""
 MAX_FLIGHT = 4.0
 """Way in one block of steps, in extents of the body, beyond which a body without an arm has flown
 off: a block lasts for half a second at steps of 1 ms, in which an approach makes 5 cm."""
@@ -139,10 +142,10 @@ class Simulator:
 
         until_touch: end with the first step in contact. track_normal: follow the path along the
         normal, too, instead of controlling the force. speed_fraction: part of the approach speed
-        that the law may ask for. Ends where the patch under the contact folds. Raises PlaceError
-        where a number is not finite, a body without an arm flies off, or the patch folds at once,
-        ReachError where a joint leaves its range; the state is then that before. Raises EdgeError
-        where the contact runs over an edge.
+        that the law may ask for. Ends where the patch under the contact folds or leaves the
+        surface. Raises PlaceError where a number is not finite, a body without an arm flies off, or
+        the patch folds at once, ReachError where a joint leaves its range; the state is then that
+        before. Raises EdgeError where the contact runs over an edge.
         """
         started = perf_counter()
         short = until_touch or self._off_path
@@ -155,8 +158,13 @@ class Simulator:
             states, outputs = self.rollout.run(self.state, placed, self._parameters, until_touch)
         except RuntimeError as error:
             raise self._diverged(self.state, str(error).strip().splitlines()[-1]) from error
-        count = self._unfolded(outputs)
-        folded, outputs, states = count < len(outputs), outputs[:count].copy(), states[: count + 1]
+        ran, count = len(outputs), self._unfolded(outputs)
+        on = self._on_surface(states[: count + 1], outputs[:count], placed)
+        if not on and not self._off_path:
+            self._relocate()
+            return self.advance(track, phase, until_touch, track_normal, speed_fraction)
+        count = max(on, 1)
+        left, outputs, states = count < ran, outputs[:count].copy(), states[: count + 1]
         self._check(states[1:], outputs)
         if not self.loop.joints:
             self._check_flight(states[-1])
@@ -165,7 +173,7 @@ class Simulator:
         self.state[:] = states[-1]
         self.face = int(placed.faces[count - 1])
         margin = 0.0 if self._off_path else -FACE_MARGIN
-        if folded or not face_margin(self.state[-2:]) >= margin:
+        if left or not face_margin(self.state[-2:]) >= margin:
             self._relocate()
         elif self._off_path:
             self._rejoin(int(track.faces[count - 1]))
@@ -241,18 +249,17 @@ class Simulator:
         self.relocations += 1
 
     def _facing(self, hit: Closest, offset: Array) -> tuple[int, Array]:
-        """Face and foot point (2,) to continue with where the foot point may lie on a ridge.
-
-        Of the faces that meet there, the one whose normal is closest to `offset` (3,), from the
-        foot point to the indenter's centre: the planes of the others extend over it, and would hold
-        the indenter off.
-        """
+        """Face and foot point (2,) to continue with where the foot point may lie on a ridge: that
+        whose normal is closest to `offset` (3,), from the foot point to the indenter's centre.
+        Patches of others that meet there extend over it, and would hold the indenter off."""
         face, uv = int(hit.face[0]), hit.uv[0]
         sides = np.array([1.0 - uv.sum(), *uv]) < EDGE_WEIGHT
         beyond = self.body.surface.neighbours[face][sides]
         faces = [face, *beyond[beyond >= 0].tolist()]
-        best = faces[int(np.argmax(self.body.mesh.face_normals[faces] @ offset))]
-        return best, uv if best == face else map_foot(self._face_map(face, best), uv)
+        foots = [uv, *(map_foot(self._face_map(face, k), uv) for k in faces[1:])]
+        normals = self.body.surface.at(np.array(faces), np.array(foots)).normal
+        best = int(np.argmax(normals @ offset))
+        return faces[best], foots[best]
 
     def _rejoin(self, face: int) -> None:
         """Use the path's faces again once the foot point lies well on the one under the path."""
@@ -275,6 +282,21 @@ class Simulator:
                 "the body out of the skin's region",
             )
         return count
+
+    def _on_surface(self, states: Array, outputs: Array, track: Track) -> int:
+        """Number of the first rows of outputs (k, m) whose contact is that of the surface, also
+        where the foot point in `states` (k + 1, n) is beside its face on the track."""
+        loop, column = self.loop, self.loop.outputs["force"].start
+        beside = face_margin(states[1:, -2:]) < -EDGE_WEIGHT
+        rows = np.flatnonzero(beside & (outputs[:, column] > 0.0))
+        if not len(rows):
+            return len(outputs)
+        centres = loop.indenter_centres(loop.body_poses(states[rows, : self.size]))
+        hit = self.body.surface.nearest(centres, track.faces[rows])
+        force = transfer.contact_outputs(loop, hit, loop.indenter_radius - hit.distance)[:, column]
+        off = np.abs(outputs[rows, column] - force) > FORCE_ERROR * self.force_reference
+        off &= force > 0.0  # without contact it is lost, as on the way to another part of the body
+        return int(rows[np.argmax(off)]) if off.any() else len(outputs)
 
     def _check(self, states: Array, outputs: Array) -> None:
         """Count torques at their limits; raise if a number is not finite or a joint is out."""

@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
+import trimesh
 
+import meshskin as ms
+from meshskin.core.se3 import transform
 from meshskin.estimation import chart
 from meshskin.geometry.primitives import Ellipsoid, Sphere, Torus
 
@@ -34,3 +37,22 @@ def test_frames_are_frames_and_continue(directions):
     near = directions + 1e-4 * np.roll(directions, 1, axis=1)
     near /= np.linalg.norm(near, axis=1)[:, None]
     assert np.abs(chart.align_normals(rotation, near) - rotation).max() < 3e-4
+
+
+@pytest.mark.parametrize("gap", [0.4e-3, 1.2e-3, 3e-3])
+def test_what_a_sheet_covers_moves_up_to_it(gap):
+    """A plate over a larger one, as the cover of a link: past its rim the lower one is bare."""
+    size = (0.04, 0.03, 0.2e-3), (0.1, 0.1, 0.01)
+    tops = 0.0, -gap
+    parts = [
+        trimesh.creation.box(s, transform(np.eye(3), (0, 0, top - s[2] / 2)))
+        for s, top in zip(size, tops, strict=True)
+    ]
+    body = ms.Body.from_mesh(trimesh.util.concatenate(parts))
+    below = np.array([[0.0, 0.0, -gap], [0.019, 0.01, -gap], [0.021, 0.0, -gap]])
+    charts = chart.charts_at(body, below)
+    assert charts.points == pytest.approx(below, abs=1e-9)
+    moved = chart.relinearized(body, charts, np.zeros((3, 2)))
+    assert moved.points[:, :2] == pytest.approx(below[:, :2], abs=1e-9)
+    assert moved.points[:, 2] == pytest.approx([0.0, 0.0, -gap], abs=1e-9)
+    assert moved.normals == pytest.approx(np.tile([0.0, 0.0, 1.0], (3, 1)), abs=1e-9)
