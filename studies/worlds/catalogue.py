@@ -131,6 +131,8 @@ def catalogue() -> dict[str, World]:
         "creep_slides": World(hertz, Electronics(creep=0.25)),
         "creep_twice": World(hertz, Electronics(creep=0.3, creep_time=0.1, slow_creep=0.15)),
         "warming": World(hertz, Electronics(warm_gain=0.1, warm_offset=0.03)),
+        "warming_apart": World(foam, Electronics(warm_gain=0.3, warm_apart=0.4)),
+        "sagging": World(foam, Electronics(gain=0.1, sag=0.1)),
         "drag_01": World(Drag(hertz, 0.1e-3)),
         "drag_09": World(Drag(hertz, 0.9e-3)),
         "skewed": World(Skewed(Hertz(), 5.3e-3)),

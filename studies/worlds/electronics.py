@@ -52,8 +52,13 @@ class Electronics:
     """As `creep`, beside it, with SLOW times its time constant."""
     warm_gain: float = 0.0
     """Relative rise of the gain of all taxels from a cold to a warm skin."""
+    warm_apart: float = 0.0
+    """Standard deviation, over the taxels, of ln of the exponent of that rise."""
     warm_offset: float = 0.0
     """Rise of the offset of all taxels from a cold to a warm skin."""
+    sag: float = 0.0
+    """Part of each reading that is lost where the sum of all readings is its median, as of a supply
+    that sags."""
     saturating: bool = False
     """Whether a pressure p reads p / (1 + p / peak): at the peak half of it."""
     second: tuple[int, bool] | None = None
@@ -125,6 +130,8 @@ class Sensors:
             lagging = play(pressure, e.play * self.peak)
             pressure = (1 - e.hysteresis) * pressure + e.hysteresis * lagging
         reading = e.response(self.gains * pressure, self.peak)
+        total = reading.sum(axis=1, keepdims=True)
+        reading = reading * (1 - e.sag * total / np.median(total))
         if e.second:
             size, alternating = e.second
             group = np.arange(self.count) // size
@@ -133,7 +140,8 @@ class Sensors:
             reading = np.where(other, saturated, reading)
         rise = np.linspace(0.0, 1.0, len(pressure))[:, None]
         warm = 1 - np.exp(-WARMING * rise)
-        reading = (1 + e.warm_gain * warm) * reading + unit * e.warm_offset * warm
+        own = np.exp(e.warm_apart * self._draw(6))
+        reading = (1 + e.warm_gain * warm) ** own * reading + unit * e.warm_offset * warm
         steps = np.random.default_rng([self.seed, 10]).normal(size=reading.shape)
         walk = np.cumsum(steps, axis=0) / np.sqrt(len(steps))
         offset = e.offset * self._draw(4) + rise * e.drift * self._draw(5) + e.wander * walk

@@ -78,7 +78,7 @@ def held_lags(fitted: FittedReadings, drag: float = 0.0) -> SmallEffects:
     elif learned:
         trials += _of_a_scan(fitted, late, variances, drag, np.empty((n, 0)))
     if drag or not learned:  # else errors of the contacts pass for them
-        trials += _of_their_own(alone, late, variances, drag)
+        trials += of_their_own(alone, late[:, 0], variances, 0.0 if drag else float(PRIOR[0]))
     gain, mean, square = (np.array(part) for part in zip(*trials, strict=True))
     largest = float(gain.max())
     weight = np.exp(gain - largest)
@@ -132,19 +132,21 @@ def _of_a_scan(
         yield gain, mean, square if q else square * (1 + PRIOR[1] / PRIOR[0])
 
 
-def _of_their_own(
-    alone: FittedReadings, late: Array, variances: Array, drag: float
+def of_their_own(
+    alone: FittedReadings, column: Array, variances: Array, common: float = 0.0
 ) -> Iterator[tuple[float, Array, Array]]:
-    """As `_of_a_scan`, by a common lag and one of each taxel."""
-    slope, information = alone.each(late[:, 0])
+    """Of each of the variances, the gain in the log-likelihood by a parameter of each taxel, with
+    the derivatives `column` (k,) of its readings, and the means (n,) and mean squares (n,) of the
+    parameters; beside a common one of `common` times the variance, if any."""
+    slope, information = alone.each(column)
     information = np.maximum(information, 0.0)
     for variance in variances:
         narrower = 1 / (1 + variance * information)
         gain = float(np.sum(variance * slope**2 * narrower + np.log(narrower))) / 2
         mean, within = variance * slope * narrower, variance * narrower
-        if not drag:
-            common = np.array([slope @ narrower]), np.array([[information @ narrower]])
-            more, shared, covariance = _posterior(*common, variance * PRIOR[:1])
+        if common:
+            sums = np.array([slope @ narrower]), np.array([[information @ narrower]])
+            more, shared, covariance = _posterior(*sums, np.array([variance * common]))
             gain, mean = gain + more, mean + shared * narrower
             within = within + covariance[0, 0] * narrower**2
         yield gain, mean, mean**2 + within

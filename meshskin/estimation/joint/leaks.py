@@ -19,6 +19,7 @@ import numpy as np
 from ...core.arrays import Array
 from .departures import FittedReadings
 from .electronics import FAR, NEXT, near_pairs, nearest
+from .pressure import OBSERVED
 from .small_effects import SmallEffects, most_likely
 
 ROUNDS, DAMPING, SETTLED = 300, 0.5, 1e-3
@@ -42,6 +43,9 @@ determines."""
 LEAST_SCORE = 2.5
 """Score, in standard deviations, of further shares from which taxels move: 0 to 1.4 in 92
 recordings without crosstalk, of 35 worlds."""
+LOST_SHARE = "a loss of the readings in proportion to the sum of all"
+LEAST_LOSS = 4.0
+"""Score, in standard deviations, from which it moves taxels, as of the lags (learned/lags.py)."""
 MIN_GAIN = 3.0
 """Least increase of the log-likelihood by the mixture over one share of all neighbours."""
 
@@ -112,6 +116,23 @@ def further_shares(fitted: FittedReadings) -> SmallEffects:
     displacements = np.einsum("nas,ns->na", shares.moved, mean)
     across = shares.moved @ covariance @ np.swapaxes(shares.moved, 1, 2)
     return SmallEffects(score, displacements, across)
+
+
+def lost_share(fitted: FittedReadings) -> SmallEffects:
+    """What a loss of the readings in proportion to the sum of all at once displaces the taxels by,
+    as where a common supply sags. The part of a taxel's own reading is compression, which the
+    response has; an error of the force would widen the patch, too."""
+    level, contact = np.maximum(fitted.mu - fitted.offset, 0.0), fitted.readings.contact
+    total = np.bincount(contact, level * (fitted.readings.kind == OBSERVED))
+    others = total[contact] - level * (fitted.readings.kind == OBSERVED)
+    column = (level * others / max(float(np.median(total[total > 0])), TINY))[:, None]
+    slope, information = fitted.shared(column)
+    score, mean, covariance = most_likely(slope[None], information[None])
+    if score < LEAST_LOSS:
+        return SmallEffects.none(len(fitted.points), score)
+    moved = fitted.displaced(column)
+    across = moved @ covariance[0] @ np.swapaxes(moved, 1, 2)
+    return SmallEffects(score, moved @ mean[0], across)
 
 
 def leak_covariances(fitted: FittedReadings, share: float) -> Array:

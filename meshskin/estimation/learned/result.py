@@ -16,10 +16,16 @@ from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION
 from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
 from ..joint.departures import FittedReadings
-from ..joint.gain_changes import GAIN_CHANGES, displacements, gain_changes
+from ..joint.gain_changes import (
+    GAIN_CHANGES,
+    OWN_DRIFTS,
+    displacements,
+    gain_changes,
+    own_drifts,
+)
 from ..joint.held_lags import HELD_LAGS, NAMED, held_lags
 from ..joint.joint_estimator import MAX_CHI2, JointEstimator
-from ..joint.leaks import further_shares, leak_covariances
+from ..joint.leaks import LOST_SHARE, further_shares, leak_covariances, lost_share
 from ..joint.noise import Noise, neighbour_scatter
 from ..joint.null_space import undetermined_motion
 from ..joint.optimum import model_dependence
@@ -213,14 +219,18 @@ def _small_effects(effects: RandomEffects, fit: GoodnessOfFit) -> dict[str, Smal
     errors would pass for these."""
     none = SmallEffects.none(len(effects.unknowns.nuisance))
     if fit.good is False:
-        return dict.fromkeys((LAGS, SHARES), none)
-    fitted = effects.fitted()
-    shares = further_shares(fitted)
-    if contact_leverage(fitted) > MAX_LEVERAGE:
-        return {LAGS: none, SHARES: shares.held()}
-    found = {LAGS: lags(fitted, partial(slope_beyond_mode, effects)), SHARES: shares}
-    weak = [min(found, key=lambda name: found[name].score)]  # each passes for the other
-    return {name: one.held() if name in weak else one for name, one in found.items()}
+        return dict.fromkeys((LAGS, SHARES, LOST_SHARE), none)
+    fitted, late, likeliest = effects.fitted(), none, ""
+    shares, lost = further_shares(fitted), lost_share(fitted)
+    if contact_leverage(fitted) <= MAX_LEVERAGE:
+        late = lags(fitted, partial(slope_beyond_mode, effects))
+        scores = {LAGS: late.score, SHARES: shares.score, LOST_SHARE: lost.score}
+        likeliest = max(scores, key=lambda name: scores[name])
+    found = {LAGS: late, SHARES: shares, LOST_SHARE: lost}  # each passes for the others
+    found = {name: one if name == likeliest else one.held() for name, one in found.items()}
+    if (at := effects.data.parameters.columns.get("gain_drift")) is not None:
+        found[OWN_DRIFTS] = own_drifts(fitted, effects.data.drifts @ effects.unknowns.s[at])
+    return found
 
 
 def _chi2(effects: RandomEffects) -> Array:

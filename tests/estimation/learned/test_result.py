@@ -1,5 +1,6 @@
 """The variances of an estimate with a learned response."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from meshskin.estimation.joint.pressure import CENSORED, OBSERVED
 from meshskin.estimation.joint.small_effects import SmallEffects
 from meshskin.estimation.learned import result
-from meshskin.estimation.learned.result import LAGS, SHARES, _few_readings, _own_misfit
+from meshskin.estimation.learned.result import LAGS, LOST_SHARE, SHARES, _few_readings, _own_misfit
 
 
 def test_few_readings_of_a_taxel_widen_its_variance():
@@ -44,11 +45,14 @@ def test_lags_are_not_looked_for_where_contacts_have_errors_of_any_size(monkeypa
     found = SmallEffects(8.0, np.ones((3, 2)), np.zeros((3, 2, 2)))
     for name in ("lags", "further_shares"):
         monkeypatch.setattr(result, name, lambda *_: found)
+    monkeypatch.setattr(result, "lost_share", lambda _: replace(found, score=9.0))
     monkeypatch.setattr(result, "contact_leverage", lambda fitted: leverage)
     unknowns = SimpleNamespace(nuisance=np.zeros((3, 2)))
-    effects = SimpleNamespace(unknowns=unknowns, fitted=lambda: None)
+    data = SimpleNamespace(parameters=SimpleNamespace(columns={}))
+    effects = SimpleNamespace(unknowns=unknowns, fitted=lambda: None, data=data)
     small = result._small_effects(effects, SimpleNamespace(good=True))
     clear = leverage < 0.1
     assert small[LAGS].score == (8.0 if clear else 0.0)
     assert small[LAGS].covariances.any() == clear
-    assert not small[SHARES].displacements.any() or clear
+    assert not small[SHARES].displacements.any()
+    assert small[LOST_SHARE].displacements.any() == clear  # the likeliest alone
