@@ -167,7 +167,8 @@ class LogCalibration(Value, Card):
                 "would look like this; check both, the force and Young's modulus"
             )
         stated = self.calibration.position_sigma
-        if self.moved > AT_REST * np.median(stated[np.isfinite(stated)]):
+        known = stated[np.isfinite(stated)]
+        if len(known) and self.moved > AT_REST * np.median(known):
             found.append(
                 f"contacts still moved by {1e3 * self.moved:.2g} mm in the last of {self.rounds} "
                 "rounds: the standard deviations can be too small; calibrate again from what was "
