@@ -18,6 +18,7 @@ import numpy as np
 
 from .core.arguments import check_integer
 from .core.atomic_io import check_folder, remove_results, write_json
+from .core.beside import Beside
 from .core.deadline import (
     FIGURE_SECONDS,
     IMPORT_SECONDS,
@@ -45,6 +46,7 @@ from .simulation.response import ForceResponse, controlled_force, describe_depar
 from .simulation.simulate import simulate
 
 if TYPE_CHECKING:
+    from .report.figure_set import Drawn
     from .study.sensitivity.budget import BudgetReport
     from .study.sensitivity.choice import Choice
     from .study.sensitivity.first_run import FirstRun
@@ -99,16 +101,17 @@ def run(
         watched = Stage(progress, "live")
         watch(done.scene, done.estimation.recording, done.calibration)
         watched.end()
-    comparison, demonstration = _compared(job, done, choice)
-    with job.timer.stage("metrics"):
-        force = _force(done.estimation.recording, done.scene)
-        metrics = _assess(done, force, demonstration) | comparison.errors(done.scene.skin)
-        metrics |= _account(job, metrics, plan.budget, comparison, choice)
-    result = Result(
-        done.scene, done.estimation.recording, done.calibration, comparison.found, demonstration,
-        force, metrics, plan.budget,
-    )  # fmt: skip
-    _report(job, result)
+    with _early_figures(job, done) as early:
+        comparison, demonstration = _compared(job, done, choice)
+        with job.timer.stage("metrics"):
+            force = _force(done.estimation.recording, done.scene)
+            metrics = _assess(done, force, demonstration) | comparison.errors(done.scene.skin)
+            metrics |= _account(job, metrics, plan.budget, comparison, choice)
+        result = Result(
+            done.scene, done.estimation.recording, done.calibration, comparison.found,
+            demonstration, force, metrics, plan.budget,
+        )  # fmt: skip
+        _report(job, result, early)
     if choice is not None:
         choice.record["came_to"] = _came_to(deadline, metrics)
     metrics["seconds"] = {k: round(v, 4) for k, v in job.timer.seconds.items()}
@@ -273,7 +276,7 @@ def _assess(
         "crlb_mm": truth.bound_mm(recording, belief, skin, calibration.ids[located]),
         "nees": float(np.nanmean(truth.nees(calibration, skin))),
         "nees_band": _nees_band(calibration),
-        "force": _force_metrics(force, describe_departure(recording)),
+        "force": force.metrics(describe_departure(recording)),
         "demonstration_mm": None if demonstration is None else 1e3 * demonstration.mean_error,
         "steps": motion.num_rows if motion else 0,
         "steps_per_second": recording.metadata.get("steps_per_second"),
@@ -300,12 +303,27 @@ def _account(
     return more | {"inputs": {"scene": scene, "seed": job.seed}}
 
 
-def _report(job: _Job, result: Result) -> None:
+def _early_figures(job: _Job, done: _Calibrated | FirstRun) -> Beside[Drawn]:
+    """The figures that need no comparison, drawn beside it; none where the time is limited."""
+
+    def work() -> Drawn:
+        from .report.data import ReportData
+        from .report.page import draw_early
+
+        scene, recording = done.scene, done.estimation.recording
+        metrics = {"force": {"reference_n": _force(recording, scene).reference}}
+        data = ReportData(done.calibration, recording, scene.skin, metrics=metrics, body=scene.body)
+        return draw_early(job.folder, data)
+
+    return Beside(work, forked=math.isinf(job.deadline.seconds))
+
+
+def _report(job: _Job, result: Result, early: Beside[Drawn]) -> None:
     """Draw the report into the folder; the metrics say which figures no time is left for."""
     from .report.data import ReportData
     from .report.page import draw
 
-    scene, metrics = result.scene, result.metrics
+    scene, metrics, beside = result.scene, result.metrics, math.isinf(job.deadline.seconds)
     with job.timer.stage("report"):
         data = ReportData(
             result.calibration, result.recording, scene.skin, result.comparisons,
@@ -313,7 +331,9 @@ def _report(job: _Job, result: Result) -> None:
             provenance(scene=scene.name, seed=job.seed), scene.body,
         )  # fmt: skip
         hook = job.deadline.hook(job.progress, FIGURE_SECONDS)
-        metrics["figures_left_out"] = draw(job.folder / "report.html", data, hook)[1]
+        done = early.result() if beside else {}
+        _, left_out = draw(job.folder / "report.html", data, hook, early=done, beside=beside)
+        metrics["figures_left_out"] = left_out
 
 
 def _came_to(deadline: Deadline, metrics: dict[str, Any]) -> dict[str, Any]:
@@ -328,18 +348,3 @@ def _nees_band(calibration: Calibration) -> list[float] | None:
     if truth.is_ideal(calibration):
         return None
     return list(truth.nees_band(int(calibration.observed[:, :2].all(axis=1).sum())))
-
-
-def _force_metrics(force: ForceResponse, departure: str) -> dict[str, Any]:
-    first: dict[str, Any] = {"departure": departure} if departure else {}
-    if force.lighter:
-        first["lighter_references_n"] = list(force.lighter)
-    return first | {
-        "reference_n": force.reference,
-        "mean_n": force.mean,
-        "std_n": force.std,
-        "overshoot": force.overshoot,
-        "settling_s": force.settling,
-        "disturbance": force.disturbance,
-        "lost_contact_steps": force.lost,
-    }

@@ -24,6 +24,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SHARE = 0.9
 """Least share of mutants that must be killed."""
+DEEP = ("-m", "not slow and not docs")
+"""Tests of more than a second, which the default run leaves out, run here."""
 COPIED = ("meshskin", "tests", "studies", "bodies", "pyproject.toml", "README.md")
 
 
@@ -31,7 +33,7 @@ def run(tests: list[str], folder: Path) -> int:
     """Exit code of pytest in a copy of the checkout: 0 when all tests pass, 1 when one fails."""
     environment = {**os.environ, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
     environment.setdefault("MESHSKIN_DATA", str(ROOT.parent / "shared" / "data"))
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *DEEP, *tests]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True).returncode
 
 

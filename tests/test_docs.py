@@ -9,6 +9,7 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.parse import unquote, urlsplit
 
 import pytest
@@ -102,3 +103,14 @@ def test_the_examples_of_the_documentation_run(site):
     done = sphinx("doctest", site.parent)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
     assert int(re.search(r"(\d+) tests\n", done.stdout)[1]) > 0
+
+
+def test_an_example_that_takes_too_long_is_named(tmp_path, monkeypatch):
+    pytest.importorskip("sphinx")
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+    import gallery
+
+    monkeypatch.setattr(gallery, "TIMEOUT", 0.1)
+    example = SimpleNamespace(name="slow", command="python -c 'import time; time.sleep(9)'")
+    with pytest.raises(gallery.ExtensionError, match=r"sleep\(9\)': did not end within 0.1 s; "):
+        gallery.run(example, tmp_path)

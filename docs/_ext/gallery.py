@@ -19,6 +19,7 @@ from textwrap import dedent
 from examples import DATA, ROOT, Example, examples
 from PIL import Image
 from reference import write_changed
+from sphinx.errors import ExtensionError
 
 TIMEOUT = 1200
 """Longest time of an example, s: the longest takes 45 s on an idle core, and 300 s on a machine
@@ -57,11 +58,14 @@ def run(example: Example, cache: Path) -> Path:
         )
         try:
             process.wait(TIMEOUT)
+        except subprocess.TimeoutExpired as error:
+            message = f"{example.command}: did not end within {TIMEOUT} s; build on an idle machine"
+            raise ExtensionError(message) from error
         finally:
             process.kill()
     if process.returncode != 0:
         tail = (work / "stderr.txt").read_text()[-2000:] + (work / "stdout.txt").read_text()[-2000:]
-        raise RuntimeError(f"{example.command}: exit code {process.returncode}\n{tail}")
+        raise ExtensionError(f"{example.command}: exit code {process.returncode}\n{tail}")
     (work / "run.json").write_text(json.dumps({"command": example.command}))
     printed = (work / "stdout.txt").read_text().strip("\n")
     printed = printed.replace(str(work), "out").replace(str(DATA), "$MESHSKIN_DATA")

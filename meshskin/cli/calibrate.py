@@ -51,7 +51,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     option(parser, "--out DIR", RESULTS, Path, required=True)
     belief_options.add(parser)
     log_options.add(parser)
-    method = "estimator: joint (default), posegraph, ..."
+    method = "estimator: joint (default), trilateration, three_circles, eq15, posegraph, "
+    method += "posegraph_isotropic, posegraph_paper, centroid or coactivation"
     option(parser, "--method METHOD", method, default="joint")
     option(parser, "--iterations N", "iteration limit of the joint estimate", integer(1))
     option(

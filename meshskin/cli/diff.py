@@ -1,8 +1,8 @@
 """`meshskin diff A B`: compare two skin files or calibrations.
 
-Compare two skin files, or saved calibrations (their folders, or calibration.parquet). What a new
-recording says of a map is shown by `meshskin recalibrate`, what it changed by this command. Exit
-code 0: the same taxels within 1 um; 1: they differ; 2: a file cannot be read.
+Compare two skin files, or saved calibrations (their folders, calibration.parquet or .csv). What a
+new recording says of a map is shown by `meshskin recalibrate`, what it changed by this command.
+Exit code 0: the same taxels within 1 um; 1: they differ; 2: a file cannot be read.
 """
 
 from __future__ import annotations
@@ -74,8 +74,10 @@ def _skin(path: Path, part: str | None) -> Skin:
 
 
 def saved_calibration(path: Path) -> Path | None:
-    """The file of the calibration saved at `path` or in that folder; None: there is none."""
-    for file in (path, path.parent / (path.name + ".parquet"), path / "calibration.parquet"):
+    """The file of the calibration saved at `path`, beside its table calibration.csv, or in that
+    folder; None: there is none."""
+    beside = path.parent / (path.name.replace("calibration.csv", "calibration") + ".parquet")
+    for file in (path, beside, path / "calibration.parquet"):
         if file.suffix == ".parquet" and file.is_file():
             return file
     return None

@@ -30,6 +30,8 @@ def pace(rate: float | None, name: str) -> str:
 class _Bar(tqdm):
     """The bar of a stage in a terminal."""
 
+    monitor_interval = 0  # its thread would keep `Beside` from forking
+
     @property
     def format_dict(self) -> dict[str, Any]:
         values: dict[str, Any] = super().format_dict

@@ -126,13 +126,18 @@ def _errors(m: dict[str, Any]) -> list[str]:
     error, bound = m["position_error_mm"], m["crlb_mm"]
     limit = f"  (bound: mean {bound['mean']:.4g})" if bound else ""
     means = {method_name(method): m[method]["mean"] for method in METHODS}
-    others = [f"{name} " + ("none" if x is None else f"{x:.3g} mm") for name, x in means.items()]
+    others = [f"{name} {x:.3g} mm" for name, x in means.items() if x is not None]
+    without: dict[str, list[str]] = {}  # by the reason
+    for method in METHODS:
+        if m[method]["mean"] is None and method not in m["left_out"]:
+            without.setdefault(m[method]["why"], []).append(method_name(method))
     lines = [
         row(
             "position error",
             f"mean {error['mean']:.4g} mm, rms {error['rms']:.4g}, max {error['max']:.4g}{limit}",
         ),
-        row("other methods", "; ".join(others)),
+        row("other methods", "; ".join(others) or "none gave a result"),
+        *(row("no result", f"{'; '.join(names)}: {why}") for why, names in without.items()),
     ]
     if m["worse_than_centroid"]:
         worse = "; ".join(map(method_name, m["worse_than_centroid"]))

@@ -1,4 +1,4 @@
-"""A cache of function results by the content of their argument, not by its identity.
+"""Caches of function results: by the content of their argument, or on the argument itself.
 
 Each case of a study and each seed of a scene makes an arm and a closed loop of its own. The
 functions compiled for them are equal, and take longer to build than to run.
@@ -43,5 +43,21 @@ def cached_by_content(build: Callable[[X], Y]) -> Callable[[X], Y]:
     @functools.wraps(build)
     def built(value: X) -> Y:
         return cached(_Key(value))
+
+    return built
+
+
+def cached_on_argument(build: Callable[[X], Y]) -> Callable[[X], Y]:
+    """Decorator of a function of one immutable object: called once for each, which keeps the result
+    among its attributes, as `functools.cached_property` does."""
+    name = f"{build.__module__}.{build.__qualname__}"
+
+    @functools.wraps(build)
+    def built(owner: X) -> Y:
+        kept = vars(owner)
+        if name not in kept:
+            kept[name] = build(owner)
+        found: Y = kept[name]
+        return found
 
     return built

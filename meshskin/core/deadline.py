@@ -115,10 +115,11 @@ class Deadline:
         slowdown = self.slowdown if used > TELLING else crowding()
         least = wall + processor * pace() * slowdown
         if 0 < OVERTIME * self.seconds < least:
+            parts = 10 if least < 100 else 1
             raise StudyError(
                 "the time is too short",
                 value=f"{self.seconds:g} s",
-                limit=f"a run takes {math.ceil(10 * least - 1e-6) / 10:.3g} s at least",
+                limit=f"a run takes {math.ceil(parts * least - 1e-6) / parts:g} s at least",
                 remedy="give more seconds",
             )
 

@@ -1,4 +1,6 @@
-"""Chains of points, as the parts of lanes are: their lengths, directions, samples and runs."""
+"""Chains of points, as the parts of lanes are: their lengths, directions, samples and runs, and the
+gaps between the pieces of a surface that they cross.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +8,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array, Index, runs
+from ..geometry.surface.closest_point import Closest
+from ..geometry.surface.surface import Surface
+
+GAP = 0.5e-3
+"""Gap between pieces of a mesh, m, above which they are apart. A sphere of 5 mm radius sinks 6 um
+into it; meshes of one surface in several pieces have smaller ones at their seams."""
+HALVINGS = 12
+"""Halvings of the way between two samples: 1 um remains of 4 mm."""
+
+
+def crosses_gap(surface: Surface, start: Closest, end: Closest) -> NDArray[np.bool_]:
+    """Whether there is a gap above GAP between pieces of the surface from points to others (k,)."""
+    out = surface.pieces[start.face] != surface.pieces[end.face]
+    rows = np.flatnonzero(out)
+    one, two, piece = start.point[rows], end.point[rows], surface.pieces[start.face[rows]]
+    for _ in range(HALVINGS if len(rows) else 0):
+        middle = surface.nearest(0.5 * (one + two))
+        here = (surface.pieces[middle.face] == piece)[:, None]
+        one, two = np.where(here, middle.point, one), np.where(here, two, middle.point)
+    out[rows] = np.linalg.norm(two - one, axis=1) > GAP
+    return out
+
+
+def gaps_along(surface: Surface, chain: Closest) -> NDArray[np.bool_]:
+    """Whether a chain crosses a gap before each of its points (k,); False at the first."""
+    crossed = crosses_gap(surface, chain.take(slice(-1)), chain.take(slice(1, None)))
+    return np.append(False, crossed)
 
 
 def gradient(points: Array, ends: Index) -> Array:

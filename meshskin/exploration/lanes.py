@@ -20,7 +20,15 @@ from ..geometry.body import Body
 from ..geometry.geodesics import geodesic, onto
 from ..geometry.mesh.topology import connected_components
 from ..geometry.surface.closest_point import Closest
-from .chains import chain_runs, evenly, gradient, joined_runs, lengths_along
+from .chains import (
+    chain_runs,
+    crosses_gap,
+    evenly,
+    gaps_along,
+    gradient,
+    joined_runs,
+    lengths_along,
+)
 
 MIN_ADVANCE = 0.3
 """Least advance of a trace or an offset, relative to its step: below it a border or an edge holds
@@ -216,14 +224,16 @@ def _traces(
     """The geodesics from `start` in one sense, and whether each returned there."""
     count = len(directions)
     trace = geodesic(body, np.repeat(start[None], count, axis=0), directions, step)
-    points, outside = [next(trace)[0].point], np.zeros(count, dtype=int)
+    at = next(trace)[0]
+    points, outside = [at.point], np.zeros(count, dtype=int)
     recent: list[Closest] = []
     length = np.ones(count, dtype=int)
     going, closed = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
     for k in range(int(4.0 * body.surface.scale / step)):
-        at = next(trace)[0]
+        last, at = at, next(trace)[0]
         point = at.point
         going &= np.linalg.norm(point - points[-1], axis=1) >= MIN_ADVANCE * step
+        going &= ~crosses_gap(body.surface, last, at)
         points.append(point)
         length[going] += 1
         if k > 3:
@@ -296,7 +306,8 @@ def _without_overlap(
 
 
 def _offset(body: Body, lane: list[Closest], shift: float, step: float) -> list[Closest]:
-    """The chains of a lane shifted to their left by `shift`, m, without folds, resampled evenly."""
+    """The chains of a lane shifted to their left by `shift`, m, resampled evenly, without folds and
+    what is across a gap of the surface."""
     lane = [chain for chain in lane if len(chain.point) > 1]  # one point has no direction
     if not lane:
         return []
@@ -309,6 +320,7 @@ def _offset(body: Body, lane: list[Closest], shift: float, step: float) -> list[
     moved = np.linalg.norm(hit.point - whole.point, axis=1)
     forward = np.einsum("ij,ij->i", gradient(hit.point, ends), along)
     forward = forward > 0.05 * np.einsum("ij,ij->i", along, along)
+    forward &= ~crosses_gap(body.surface, whole, hit) & ~gaps_along(body.surface, hit)
     s = lengths_along(hit.point)
     resampled = [
         evenly(hit.point[run], step, 2)

@@ -86,11 +86,14 @@ def parallels(scene: Scene, heading: float, dt: float) -> Path:
     """The path along the parallels, without postures.
 
     heading: angle of the first meridian about the indenter's direction, rad; dt: period, s. Raises
-    SimulationError if the surface is flat or concave at the skin's centre.
+    SimulationError if the surface is flat or concave at the skin's centre, ReachError where the
+    body is not convex about the skin.
     """
     body, axis, exploration = scene.body, scene.axis, scene.exploration
     centre = body.surface.bounds.mean(axis=0)
     size = float(np.linalg.norm(np.ptp(body.surface.bounds, axis=0)))
+    at = body.closest(scene.skin.positions)
+    _check_convex(body.closest(at.point + 10 * size * at.normal).point - at.point, exploration, dt)
     pole = body.closest((centre + size * axis)[None])
     radius = 1.0 / max(float(pole.curvature.mean()), 1e-6)
     if radius > size:
@@ -106,11 +109,25 @@ def parallels(scene: Scene, heading: float, dt: float) -> Path:
     wanted = np.cos(polar) * axis + s * np.cos(azimuth) * e1 + s * np.sin(azimuth) * e2
     # the closest point of a convex body to a distant point has about the direction's normal
     hit = body.closest(centre + 10 * size * wanted)
+    _check_convex(np.diff(hit.point, axis=0), exploration, dt)
     rotations = scene.indenter.rotation @ body_rotations(hit.normal, axis, heading)
     centres = scene.rig.indenter_centres(hit.point, hit.normal)
     positions = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", rotations, centres)
     poses = transform(rotations, positions)
     return Path(dt, hit.point, hit.normal, poses, body_twists(poses, dt), hit.face)
+
+
+def _check_convex(shifts: Array, exploration: Exploration, dt: float) -> None:
+    """Raise ReachError for a shift (k, 3), m, to the outermost place of another part of the body:
+    from a taxel in the direction of its normal, or from one row of a path to the next."""
+    limit = exploration.lane_spacing + 2.0 * exploration.speed * dt
+    longest = float(np.linalg.norm(shifts, axis=1).max())
+    if longest > limit:
+        raise ReachError(
+            "parallels need a body that is convex about the skin: they lead to another part of it",
+            value=f"{1e3 * longest:.3g} mm away", limit=f"{1e3 * limit:.3g} mm",
+            remedy="set exploration.pattern lanes",
+        )  # fmt: skip
 
 
 def polar_angles(extent: float, radius: float, exploration: Exploration) -> Array:

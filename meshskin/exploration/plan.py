@@ -40,9 +40,9 @@ def plan_exploration(scene: Scene) -> Plan:
     """Plan a scene's exploration by its pattern; `simulate` does so where it is given no path.
 
     With a carried indenter, a list of contacts. With pattern "auto", parallels on a cap of a
-    sphere, geodesic lanes elsewhere and where the arm cannot follow the parallels. Raises
-    ReachError if the arm cannot follow any path, ContactError if the contact model does not hold
-    along parallels.
+    sphere, geodesic lanes elsewhere and where the arm cannot follow the parallels, or they lead to
+    another part of the body. Raises ReachError if the arm cannot follow any path, ContactError if
+    the contact model does not hold along parallels.
     """
     exploration = scene.exploration
     if scene.indenter.carried_by is not None:

@@ -83,14 +83,14 @@ class Reach:
 
 def reach(
     body: Body,
-    radii: Sequence[float],
+    radii: float | Sequence[float],
     *,
     force: float = 3.0,
     material: Material | None = None,
     skin: float | None = None,
     progress: Progress | None = None,
 ) -> tuple[Reach, ...]:
-    """What indenters with `radii`, m, reach of the visible surface of a body, in their order.
+    """What indenters with `radii`, m, one or several, reach of the visible surface of a body.
 
     A point of the surface is visible if a straight line leads away from it. force, N, is reduced
     for an indenter whose contact patch would be too wide on a plane. material: by default that of a
@@ -101,17 +101,18 @@ def reach(
     """
     check_type(Body, body, "what an indenter reaches")
     check_real("force of a contact", force, "N", above=0.0)
-    if not len(radii):
+    tried = np.atleast_1d(radii).tolist()
+    if not tried:
         raise ConfigError("no radius of an indenter was given", remedy="give one or more, in m")
-    for radius in radii:
+    for radius in tried:
         check_real("radius of an indenter", radius, "m", above=0.0)
     points, normals = even_points(body)
     seen = visible(body, points, normals)
     if not seen.any():
         raise MeshError("no point of the surface is visible", remedy="check the mesh")
     points, found = points[seen], []
-    stage = Stage(progress, "reach", len(radii))
-    for radius in radii:
+    stage = Stage(progress, "reach", len(tried))
+    for radius in tried:
         surface = body if skin is None else body.skinned(skin, 1.5 * radius)
         hit = surface.closest(points)
         poses = transform(orthonormal_basis(hit.normal), hit.point)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.beside import Beside
 from ..core.errors import OutOfTime
 from ..core.progress import Progress, Stage
 from ..simulation.response import CONTROLLED_PHASES, controlled_force, force_response
@@ -23,27 +25,51 @@ if TYPE_CHECKING:
     from ..recording.recording import Recording
 
 
+Drawn = dict[str, SavedFigure | None]
+"""Figures by name; None for those that the data do not allow."""
 ACCURACY_TIME, RESIDUALS = "accuracy_time", "residuals"
 """Names of the figures that have sections of their own."""
 
 
 def draw_figures(
-    folder: Path, data: ReportData, progress: Progress | None
+    folder: Path,
+    data: ReportData,
+    progress: Progress | None,
+    early: Drawn | None = None,
+    beside: bool = False,
 ) -> tuple[list[SavedFigure], list[str]]:
-    """Draw and save every figure that the data allow, in the order of the page.
+    """Draw and save every figure that the data allow, but those drawn `early`; in the order of the
+    page.
 
-    Those after which `progress` raises OutOfTime are the last ones: the names of the others come
-    second.
+    beside: draw some figures beside the others. Otherwise `progress` may raise OutOfTime: those not
+    drawn by then are the last ones; their names come second.
     """
-    pictures: list[SavedFigure | None] = []
-    drawn = [draw for draw in DRAWN if data.truth is None or draw is not residuals]
-    with suppress(OutOfTime):
-        stage = Stage(progress, "report", len(drawn))
-        for draw in drawn:
-            pictures.append(draw(folder, data))
-            stage.step()
-    left_out = [draw.__name__.replace("_", " ") for draw in drawn[len(pictures) :]]
+    drawn = dict(early or {})
+    names = [name for name in _names(data) if name not in drawn]
+    later = [name for name in names if beside and name in BESIDE]
+    stage = Stage(progress, "report", len(names))
+    if later:
+        import matplotlib.figure  # noqa: F401  once, not in both processes
+    with Beside(lambda: draw_named(folder, data, later), bool(later)) as other, suppress(OutOfTime):
+        for name in names:
+            if name not in later:
+                drawn |= draw_named(folder, data, [name])
+                stage.step()
+        drawn |= other.result()
+        stage.at(len(names))
+    pictures = [drawn[name] for name in _names(data) if name in drawn]
+    left_out = [name.replace("_", " ") for name in names if name not in drawn]
     return [picture for picture in pictures if picture is not None], left_out
+
+
+def draw_named(folder: Path, data: ReportData, names: Sequence[str]) -> Drawn:
+    """Draw and save figures by their names."""
+    return {draw.__name__: draw(folder, data) for draw in DRAWN if draw.__name__ in names}
+
+
+def _names(data: ReportData) -> list[str]:
+    """The figures, in the order of the page."""
+    return [draw.__name__ for draw in DRAWN if data.truth is None or draw is not residuals]
 
 
 def _save(
@@ -269,3 +295,7 @@ DRAWN = (
     force, response, estimates, errors, uncertainty, coverage, residuals, iterations, accuracy_time
 )  # fmt: skip
 """The figures, in the order of the page."""
+EARLY = "force", "response", "estimates", "uncertainty", "coverage"
+"""Figures of a simulated recording that need no other method."""
+BESIDE = "iterations", "estimates", "coverage", "residuals"
+"""Figures that are drawn in a second process: they take as long as the others."""

@@ -14,7 +14,7 @@ from ..core.atomic_io import write_text
 from ..core.progress import Progress
 from . import markup
 from .data import ReportData
-from .figure_set import draw_figures
+from .figure_set import EARLY, Drawn, draw_figures, draw_named
 from .markup import Content
 from .sections import content
 
@@ -56,6 +56,8 @@ def _scripts() -> str:
     return f"<script>{plotly}</script>\n<script>{_resource('view.js')}</script>"
 
 
+FIGURES = "figures"
+"""Folder of the figures, beside the page."""
 OPTIONS = (*(item.name for item in fields(ReportData)), "budget", "progress")
 """Names of the options of a report."""
 
@@ -80,18 +82,24 @@ def report(
     data = ReportData(**{name: fact for name, fact in facts.items() if fact is not None})
     parts = {"budget": budget, "cross_validation": validation}
     metrics = {key: part.metrics() for key, part in parts.items() if part}
-    return draw(Path(path), replace(data, metrics={**metrics, **data.metrics}), progress)[0]
+    data = replace(data, metrics={**metrics, **data.metrics})
+    return draw(Path(path), data, progress, beside=True)[0]
+
+
+def draw_early(folder: Path, data: ReportData) -> Drawn:
+    """Draw the figures of EARLY into the folder of the page."""
+    return draw_named(folder / FIGURES, data, EARLY)
 
 
 def draw(
-    path: Path, data: ReportData, progress: Progress | None = None
+    path: Path, data: ReportData, progress: Progress | None = None, **how: Any
 ) -> tuple[list[Path], list[str]]:
     """Write the page and its figures; the figures left out where `progress` raises OutOfTime.
 
-    Returns the paths written, and the names of the figures left out.
+    how: options of `draw_figures`. Returns the paths, and the names of the figures left out.
     """
     started = perf_counter()
-    pictures, left_out = draw_figures(path.parent / "figures", data, progress)
+    pictures, left_out = draw_figures(path.parent / FIGURES, data, progress, **how)
     data = replace(
         data,
         seconds={**data.seconds, "figures": perf_counter() - started},

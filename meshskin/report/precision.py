@@ -39,6 +39,8 @@ KNOB_NAMES = {
 """Names of knobs for people."""
 CHARACTER_WIDTH, LINE_HEIGHT = 0.55, 1.15
 """Mean width of a character and height of a line, relative to the font size (DejaVu Sans)."""
+MARK = 4.0
+"""Half the size, pt, of a point that has a name: names keep clear of it."""
 ORDERED_KNOBS = {"faces", "degree", "dt", "lanes", "rate", "tolerance"}
 """Knobs with ordered levels: their points are joined."""
 STATISTICAL_KNOBS = {"lanes", "rate", "method"}
@@ -105,31 +107,34 @@ def work_precision(costs: Costs, targets: Sequence[float]) -> Figure:
 def label_points(
     axes: Axes, points: ArrayLike, names: Sequence[str], size: float, color: str = theme.INK
 ) -> None:
-    """Write names next to points (n, 2), in data coordinates, without overlaps.
+    """Write names next to points (n, 2), in data coordinates, over no point and no other name where
+    there is room.
 
-    Names are on the right, or on the left where they would leave the axes. size: of the font.
+    Names are on the right, or on the left, as near as there is room. size: of the font.
     """
     from matplotlib.patheffects import withStroke
+    from matplotlib.transforms import Bbox
 
     data = np.asarray(points, dtype=float).reshape(-1, 2)
     places = axes.transData.transform(data) * 72.0 / axes.figure.dpi
-    end = axes.bbox.x1 * 72.0 / axes.figure.dpi
-    taken: list[tuple[float, float, float]] = []
+    first, end = axes.bbox.x0 * 72.0 / axes.figure.dpi, axes.bbox.x1 * 72.0 / axes.figure.dpi
+    height = LINE_HEIGHT * size
+    taken = [Bbox.from_bounds(x - MARK, y - MARK, 2 * MARK, 2 * MARK) for x, y in places]
+    rises = [5.0 + k * height for k in sorted(range(-len(data) - 2, len(data) + 1), key=abs)]
     for k in np.argsort(places[:, 1]):
-        width = CHARACTER_WIDTH * size * len(names[k])
-        inwards = places[k, 0] + width > end
-        x, y = places[k] + [-6.0 if inwards else 6.0, 5.0]
-        start = x - width if inwards else x
-        for left, right, low in taken:
-            if left < start + width and start < right and y - low < LINE_HEIGHT * size:
-                y = low + LINE_HEIGHT * size
-        taken.append((start, start + width, y))
+        (x, y), width = places[k], CHARACTER_WIDTH * size * len(names[k])
+        sides = [x + 6.0, x - 6.0 - width]
+        room = [left for left in sides if first <= left <= end - width] or sides[:1]
+        boxes = [Bbox.from_bounds(left, y + up, width, height) for up in rises for left in room]
+        box = next((b for b in boxes if not b.count_overlaps(taken)), boxes[0])
+        taken.append(box)
+        inwards = box.x0 < x
         axes.annotate(
             names[k],
             tuple(data[k]),
-            tuple(np.array([x, y]) - places[k]),
-            textcoords="offset points",
+            ((box.x1 if inwards else box.x0) - x, box.y0 - y),
             ha="right" if inwards else "left",
+            textcoords="offset points",
             fontsize=size,
             color=color,
             zorder=6,
@@ -160,7 +165,9 @@ def accuracy_time(
                       fontsize=8)  # fmt: skip
     left.set(xscale="log", yscale="log", xlabel="time of the estimate (s)")
     left.set(ylabel="mean error of the taxels (mm)", title="Estimators on this recording")
-    left.margins(x=0.25, y=0.2)
+    left.margins(x=0.1, y=0.2)
+    first, last = left.get_xlim()
+    left.set_xlim(first, last * (last / first) ** 0.5)  # names are on the right
     decimal_ticks(left)
     label_points(left, list(points.values()), list(map(method_name, points)), 8.0)
     names = list(stages)[::-1]

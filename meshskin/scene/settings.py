@@ -61,7 +61,8 @@ class Exploration:
 
     pattern: str = "auto"
     """"parallels": about the skin's axis, for convex caps; "lanes": geodesic lanes, for any region;
-    "auto": parallels where the skin is a cap of a sphere that the arm can turn, else lanes."""
+    "auto": parallels where the skin is a cap of a sphere that the arm can turn, and that no other
+    part of the body is above or beside, else lanes."""
     lane_spacing: float = quantity("m", 3.5e-3, above=0.0)
     """Distance between lanes along the surface."""
     contacts: float | None = quantity("", None, above=0.0)

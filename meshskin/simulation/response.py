@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -46,6 +47,21 @@ class ForceResponse:
     slides, after settling."""
     lost: int
     """Steps without contact in which the law controls the force."""
+
+    def metrics(self, departure: str) -> dict[str, Any]:
+        """As in metrics.json; departure: in words as of `describe_departure`, or ""."""
+        first: dict[str, Any] = {"departure": departure} if departure else {}
+        if self.lighter:
+            first["lighter_references_n"] = list(self.lighter)
+        return first | {
+            "reference_n": self.reference,
+            "mean_n": self.mean,
+            "std_n": self.std,
+            "overshoot": self.overshoot,
+            "settling_s": self.settling,
+            "disturbance": self.disturbance,
+            "lost_contact_steps": self.lost,
+        }
 
 
 def controlled_force(motion: pa.Table) -> tuple[Array, Array, Array, np.ndarray]:

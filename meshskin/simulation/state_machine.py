@@ -108,7 +108,7 @@ class ExplorationStateMachine:
                     if self.row < len(track):
                         lost, self.losses = lost + 1, self.losses + 1
                         if lost > RETRIES:
-                            raise self._lost()
+                            raise self._lost(track)
                 except (PlaceError, ReachError) as error:
                     edge = isinstance(error, EdgeError) and not simulator.loop.joints
                     if len(self.tracks) == 1 and not edge:
@@ -289,12 +289,17 @@ class ExplorationStateMachine:
     def _force(self, steps: Steps) -> Array:
         return np.asarray(steps.outputs[:, self.simulator.loop.outputs["force"].start])
 
-    def _lost(self) -> PlaceError:
-        time = self.simulator.steps * self.simulator.loop.dt
+    def _lost(self, track: Track) -> PlaceError:
+        dt, pieces = self.simulator.loop.dt, self.simulator.body.surface.pieces
+        rows = round(LOSS_TIME / dt)
+        near = pieces[track.faces[max(self.row - rows, 0) : self.row + rows + 1]]
+        remedy = "explore slower, or set a larger law.gamma or law.rate"
+        if np.any(near != near[0]):
+            remedy = "begin a segment (Path.breaks) where the path goes to another part of the body"
         return PlaceError(
             f"contact was lost {RETRIES + 1} times",
-            value=f"row {self.row} of place {self.place} at t = {time:.4f} s",
-            remedy="explore slower, or set a larger law.gamma or law.rate",
+            value=f"row {self.row} of place {self.place} at t = {self.simulator.steps * dt:.4f} s",
+            remedy=remedy,
         )
 
 

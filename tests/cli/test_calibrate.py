@@ -48,6 +48,7 @@ def known(log):
     return ["--body", str(log / "ball.stl"), "--units", "mm", "--indenter-radius-mm", "10"]
 
 
+@pytest.mark.deep
 def test_a_log_in_csv_with_a_mesh(scene, log, tmp_path, capsys):
     out, belief = tmp_path / "out", scene.belief()
     asked = ["calibrate", str(log), *known(log), "--young-kpa", "150", "--out", str(out)]
@@ -71,6 +72,7 @@ def test_a_log_in_csv_with_a_mesh(scene, log, tmp_path, capsys):
     assert "rotation about the normal of every taxel" in said
 
 
+@pytest.mark.deep
 @pytest.mark.usefixtures("no_figures")
 def test_a_failed_calibration_is_written_and_ends_with_exit_code_1(log, tmp_path, capsys):
     out = tmp_path / "out"
@@ -81,6 +83,7 @@ def test_a_failed_calibration_is_written_and_ends_with_exit_code_1(log, tmp_path
     assert (out / "calibration.parquet").exists()
 
 
+@pytest.mark.deep
 @pytest.mark.usefixtures("no_figures")
 def test_a_recording_with_a_scene(recording, tmp_path, capsys):
     recording.save(tmp_path / "r")
@@ -158,6 +161,7 @@ def test_what_cannot_be_calibrated(log, tmp_path, capsys, monkeypatch, options, 
     assert not list((tmp_path / "out").glob("*"))
 
 
+@pytest.mark.deep
 @pytest.mark.usefixtures("no_figures")
 def test_a_body_that_is_no_sphere_needs_no_contact_model_named(tmp_path):
     scene = ms.Scene.load("ellipsoid")
@@ -267,6 +271,7 @@ def test_an_export_that_cannot_be_written_is_refused_before_the_work(log, tmp_pa
     assert not list((tmp_path / "out").glob("*"))
 
 
+@pytest.mark.deep
 @pytest.mark.usefixtures("no_figures")
 def test_why_taxels_are_left_out_is_said(log, tmp_path, capsys):
     for name in ("contacts.csv", "ball.stl"):

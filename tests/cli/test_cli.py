@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -72,6 +73,24 @@ def test_the_summary_counts_the_readings_that_were_used(run):
     given = {"metrics": metrics, "calibration": used, "recording": recording}
     said = summary(SimpleNamespace(**given), Path("out"))
     assert f"from {used.readings.sum()} of {metrics['readings']} readings in" in said
+    assert "no result" not in said
+    for method in ("posegraph", "posegraph_isotropic"):
+        metrics[method] |= {"mean": None, "why": "too few pairs"}
+    said = summary(SimpleNamespace(**given), Path("out"))
+    assert "  no result        pose graph; pose graph, isotropic: too few pairs\n" in said
+
+
+def test_the_table_of_a_calibration_stands_for_it_in_a_comparison(run, capsys):
+    assert cli.main(["diff", str(run / "calibration.csv"), str(run)]) == 0
+    assert "equal within 1 um" in capsys.readouterr().out
+
+
+def test_the_help_of_calibrate_names_every_method(capsys):
+    from meshskin.estimation.calibrate import METHODS
+
+    assert cli.main(["calibrate", "--help"]) == 0
+    words = set(re.findall(r"\w+", capsys.readouterr().out))
+    assert set(METHODS) <= words
 
 
 def test_metrics_hold_the_contract_and_the_paper_is_beaten(run):
@@ -284,6 +303,7 @@ def test_a_budget_that_nothing_resolves_is_refused_at_once(tmp_path, capsys):
     assert not out.exists()
 
 
+@pytest.mark.deep
 def test_what_an_earlier_run_found_is_not_left_beside_another_recording(tmp_path, monkeypatch):
     from meshskin.core.errors import CalibrationError
 

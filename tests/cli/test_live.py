@@ -50,6 +50,7 @@ def live_of(log: str, *options: str) -> int:
     return main(["live", log, "--scene", "sphere_noisy", "--port", "0", "--speed", "32", *options])
 
 
+@pytest.mark.deep
 def test_a_recording_is_shown_to_its_end(log, viewer, monkeypatch, capsys):
     said = []
     monkeypatch.setattr(live, "_has_display", lambda: False)
@@ -104,6 +105,7 @@ def test_without_the_extra_the_pip_command_is_named(command, monkeypatch, capsys
     assert err.count("\n") == 1
 
 
+@pytest.mark.deep
 def test_a_run_is_shown_before_its_results(noisy, viewer, monkeypatch, tmp_path, capsys):
     recording = touches(noisy, 9)
     with pytest.warns(ms.LeftOutWarning):
@@ -123,6 +125,7 @@ def test_a_run_is_shown_before_its_results(noisy, viewer, monkeypatch, tmp_path,
     assert f"all contacts together: {found!r}" in told.out
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("count", "words"), [(9, "8 of 80 taxels"), (1, "no calibration of all")])
 def test_the_page_ends_with_the_calibration_of_all_contacts(
     noisy, viewer, monkeypatch, tmp_path, capsys, count, words
@@ -150,6 +153,7 @@ def test_contacts_that_no_contact_model_describes_are_replayed(noisy, viewer, tm
     assert "the response is as learned from the whole log" in capsys.readouterr().out
 
 
+@pytest.mark.deep
 def test_any_error_of_the_last_calibration_is_shown_on_the_page(log, viewer, monkeypatch, capsys):
     def refuse(given):
         raise ContactError("the patch is too wide")

@@ -55,6 +55,7 @@ def mesh(tmp_path, monkeypatch):
     return handle
 
 
+@pytest.mark.deep
 def test_init_writes_a_scene_that_loads(mesh, tmp_path, capsys):
     assert cli.main(["init", "handle.stl"]) == 0
     said = capsys.readouterr().out
@@ -101,6 +102,7 @@ def test_init_asks_for_no_more_taxels_than_fit(mesh, tmp_path, monkeypatch):
     assert len(ms.Scene.load("small.toml").skin) == asked
 
 
+@pytest.mark.deep
 def test_init_puts_the_skin_where_the_indenter_reaches(mesh, tmp_path, monkeypatch):
     """The flat top of a can ends at an edge; its side does not."""
     monkeypatch.setattr(init, "RADII", (5e-3,))

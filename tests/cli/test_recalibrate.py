@@ -85,7 +85,7 @@ def test_a_force_is_given(asked, tmp_path, capsys):
     assert len((out / "touches.csv").read_text().splitlines()) == 3
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_without_a_force_it_is_that_of_the_touches(files, asked, tmp_path):
     assert cli.main([*asked[:2], str(files / "touches"), *asked[2:]]) == 1
     assert len((tmp_path / "out" / "touches.csv").read_text().splitlines()) == 3

@@ -39,6 +39,7 @@ def by_tamaas(gap, side, force):
     return np.array(model.traction)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("parabolic", [True, False])
 @pytest.mark.parametrize("pair", PAIRS[:2])
 def test_against_tamaas(pair, parabolic):

@@ -89,6 +89,7 @@ def test_finite_elements_converge_to_hertz():
     assert relative_to_hertz(1.0, 0.45)[1] == pytest.approx(fine, rel=3e-3)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("poisson", [0.3, 0.4, 0.45, 0.49])
 @pytest.mark.parametrize(
     "thickness", [pytest.param(12.0, marks=pytest.mark.slow), 2.2, 1.05, 0.6, 0.33]

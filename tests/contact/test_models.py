@@ -191,6 +191,7 @@ def test_parabolic_gap_at_its_limit_of_width(curvature):
         contact.solve("hertz", **case | {"force": 1.02 * case["force"]})
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("count", [30, pytest.param(150, marks=pytest.mark.slow)])
 def test_any_arguments_give_a_patch_or_a_contact_error(count):
     rng = np.random.default_rng(5)

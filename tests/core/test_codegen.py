@@ -70,6 +70,7 @@ def test_a_cached_library_must_have_been_built(cache):
     assert module.cached_library(text, (*module.FLAGS, "-O1")) is None  # flags are part of the key
 
 
+@pytest.mark.deep
 @needs_compiler
 @pytest.mark.parametrize("damage", ["half", "not a library"])
 def test_a_damaged_library_is_rebuilt(cache, damage):
@@ -86,6 +87,7 @@ def test_a_damaged_library_is_rebuilt(cache, damage):
     assert module.content_hash(rebuilt.read_bytes()) == rebuilt.stem
 
 
+@pytest.mark.deep
 @needs_compiler
 def test_of_several_processes_at_once_one_compiles(cache, monkeypatch, tmp_path):
     compiler, calls = tmp_path / "cc", tmp_path / "calls"

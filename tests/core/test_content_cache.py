@@ -1,6 +1,6 @@
 """Cache by content: a function runs once for equal contents of different objects."""
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pytest
@@ -64,3 +64,23 @@ def test_every_field_of_the_loop_is_part_of_the_content(loop):
     assert made(loop) is made(replace(loop))
     for name, value in changed.items():
         assert made(replace(loop, **{name: value})) is not made(loop), name
+
+
+def test_a_result_is_kept_on_its_argument():
+    @dataclass(frozen=True)
+    class Numbers:
+        """Numbers."""
+
+        first: float
+
+    asked = []
+
+    @content_cache.cached_on_argument
+    def double(numbers):
+        asked.append(numbers.first)
+        return 2 * numbers.first
+
+    one = Numbers(1.0)
+    assert [double(one), double(one), double(replace(one, first=3.0))] == [2.0, 2.0, 6.0]
+    assert asked == [1.0, 3.0]
+    assert one == Numbers(1.0)

@@ -43,6 +43,7 @@ def pressed(noisy):
     return ms.press(noisy, noisy.skin.positions.mean(axis=0) + near, seed=1)
 
 
+@pytest.mark.deep
 @pytest.mark.filterwarnings("ignore::meshskin.core.errors.LeftOutWarning")
 @pytest.mark.parametrize("method", ["joint", "posegraph"])
 def test_a_calibration_tells_its_steps_and_can_be_interrupted_in_each(pressed, noisy, method):
@@ -59,6 +60,7 @@ def test_a_calibration_tells_its_steps_and_can_be_interrupted_in_each(pressed, n
             ms.calibrate(pressed, belief, method, progress=Heard(most))
 
 
+@pytest.mark.deep
 def test_an_interrupted_simulation_leaves_no_file(sphere, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         ms.simulate(sphere, out=tmp_path / "recording", progress=Heard(1))
@@ -103,6 +105,7 @@ def test_presses_tell_their_batches(sphere, monkeypatch):
     assert (found.contacts, found.readings) == (again.contacts, again.readings)
 
 
+@pytest.mark.deep
 def test_a_layout_tells_its_rings_and_projections():
     heard = Heard()
     found = ms.Skin.cover(BODY, spacing=20e-3, progress=heard)

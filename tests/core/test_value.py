@@ -85,6 +85,7 @@ def test_an_object_comes_back_equal(objects, name, way):
         assert hash(other) == hash(one)
 
 
+@pytest.mark.deep
 def test_a_copy_works_as_the_original_does(objects, recording):
     scene = copy.deepcopy(objects["Scene"])
     found = ms.calibrate(recording, scene.belief(), "centroid")
@@ -93,6 +94,7 @@ def test_a_copy_works_as_the_original_does(objects, recording):
     assert again.skin == found.skin
 
 
+@pytest.mark.deep
 def test_two_runs_of_one_scene_are_equal(objects, recording):
     """They differ in the times that they took alone."""
     again = replace(recording, metadata=recording.metadata | {"steps_per_second": 1.0})

@@ -65,6 +65,7 @@ def table(recording):
     return dict(zip(keys, recording.pressure, strict=True))
 
 
+@pytest.mark.deep
 def test_modules_of_effects_that_are_off_are_not_imported():
     code = (
         "import sys, meshskin as ms; from meshskin import effects; "
@@ -87,6 +88,7 @@ def test_effects_switched_off_again_leave_the_recording_bit_for_bit(small, plain
         assert getattr(again, table_of).equals(getattr(plain, table_of))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", RECORDED)
 def test_effects_on_recorded_contacts_leave_the_readings_bit_for_bit(name, one, plain):
     other = one(name)
@@ -95,7 +97,14 @@ def test_effects_on_recorded_contacts_leave_the_readings_bit_for_bit(name, one, 
     assert other.motion.equals(plain.motion)
 
 
-@pytest.mark.parametrize("name", [k for k in READ if k not in IDLE])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(k, marks=() if k in ("gain_offset", "hysteresis") else pytest.mark.deep)
+        for k in READ
+        if k not in IDLE
+    ],
+)
 def test_effects_on_readings_leave_the_contacts_bit_for_bit(name, one, plain):
     other = one(name)
     assert other.contacts.equals(plain.contacts)
@@ -111,6 +120,7 @@ def quiet_and_noisy(small):
     return scenes, [table(ms.simulate(scene, seed=1)) for scene in scenes]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", [k for k in DRAWING if k != "gaussian_noise"])
 def test_switching_an_effect_leaves_the_noise_of_another(name, small, quiet_and_noisy):
     """The noise is the difference of the readings of the scenes with and without noise."""
@@ -142,6 +152,7 @@ def test_no_effect_depends_on_the_batches(small, monkeypatch):
     np.testing.assert_allclose(parts.pressure, whole.pressure, rtol=1e-9)
 
 
+@pytest.mark.deep
 def test_a_sample_that_is_held_keeps_all_that_the_robot_recorded(small):
     """Heading and force, with the noise of that sample: it is one measurement, not several."""
     held = run(small, "encoder", "force_sensor", "sampling")
@@ -152,12 +163,14 @@ def test_a_sample_that_is_held_keeps_all_that_the_robot_recorded(small):
     assert turns[same].max() < 1e-12 < turns[~same].min()
 
 
+@pytest.mark.deep
 def test_encoders_turn_the_recorded_heading(one, plain):
     turn = np.einsum("kji,kjl->kil", plain.headings, one("encoder").headings)
     angle = np.linalg.norm(turn - np.swapaxes(turn, 1, 2), axis=(1, 2)) / np.sqrt(8.0)
     assert 1e-4 < np.sqrt(np.mean(angle**2)) < 2e-3  # six joints with offsets of 2e-4 rad
 
 
+@pytest.mark.deep
 def test_the_frames_of_a_scene_are_contacts_with_the_indenter(small):
     """The pose of each frame's configuration maps its centre to the position of the indenter."""
     seen: list[Frames] = []
@@ -192,6 +205,7 @@ def calibrated(small, plain):
     return ms.calibrate(plain, small.belief()).positions
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", [k for k in effects.NAMES if k not in IDLE])
 def test_ignoring_an_effect_shifts_taxels_by_less_than_its_bound(name, small, one, calibrated):
     """The shift of the joint estimate that ignores the effect; broken taxels may be missing."""

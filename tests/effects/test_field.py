@@ -57,6 +57,7 @@ def test_layer_reads_the_pressure_of_its_contact_model(context, frame, thickness
     np.testing.assert_allclose(read, want, atol=2e-4 * patch.peak)
 
 
+@pytest.mark.deep
 def test_peak_grows_as_the_layer_gets_thinner(context, frame):
     middle, plain = along(0)[:1], context.reading_model(frame, along(0)[:1])[0, 0]
     peaks = [
@@ -120,6 +121,7 @@ def test_discs_average_the_hertz_profile(context, frame):
     assert wide[-10] > point[-10] == 0.0
 
 
+@pytest.mark.deep
 def test_disc_averaging_equals_a_skin_with_that_disc():
     scene = ms.Scene.load("sphere_noisy")
     scene = scene.with_(loop=replace(scene.loop, mode="quasi_static"))

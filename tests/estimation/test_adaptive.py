@@ -39,6 +39,7 @@ def errors(found, scene):
     return np.linalg.norm(found.calibration.positions - scene.skin.positions, axis=1)
 
 
+@pytest.mark.deep
 def test_every_taxel_comes_below_the_target_in_few_contacts(scene):
     found = adapt(scene, TARGET, seed=3)
     assert found.unmet == {}
@@ -81,7 +82,7 @@ def test_a_dead_taxel_is_named(scene):
     assert found.calibration.position_sigma[~lost].max() <= 2 * TARGET
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_gaps_that_nothing_reaches_leave_their_taxels_unread(scene):
     """The first pass touches a part of the skin; the arm reaches nothing of the rest."""
     near = np.argsort(np.linalg.norm(scene.skin.positions - scene.skin.positions[0], axis=1))

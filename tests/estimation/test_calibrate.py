@@ -61,6 +61,7 @@ def test_every_method_on_ideal_data(world, method):
     assert found.provenance["method"] == method
 
 
+@pytest.mark.deep
 def test_methods_rank_as_they_should(world, alone):
     ranked = ("joint", "trilateration", "posegraph", "posegraph_isotropic", "three_circles")
     error = {method: mean_error(world, alone(method)) for method in ranked}
@@ -189,6 +190,7 @@ def test_approach_without_force_is_left_out(world):
     assert mean_error(world, found) < 1e-6
 
 
+@pytest.mark.deep
 def test_a_loose_tolerance_stays_within_what_it_says(noisy):
     """sqrt(2 tolerance) standard deviations from the optimum, at most, and no further for less."""
     recording, belief = noisy
@@ -235,6 +237,7 @@ def test_limits_of_the_joint_estimate_are_refused_where_they_have_no_effect(nois
         calibrate(ms.press(sphere, sphere.skin.positions[:20]), learned, tolerance=1e-3)
 
 
+@pytest.mark.deep
 def test_methods_share_what_they_have_in_common(noisy, alone):
     """Each result of an `Estimation` is that of `calibrate`, in any order."""
     estimation = Estimation(*noisy)

@@ -19,7 +19,7 @@ from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, nees_band,
 from meshskin.geometry.primitives import Ellipsoid
 
 MODELS = {"elliptic": ContactModel("elliptic"), "layered": ContactModel("layered", 0.49, 4e-3)}
-FIRST = ["layered", pytest.param("elliptic", marks=pytest.mark.slow)]
+FIRST = ["layered", pytest.param("elliptic", marks=pytest.mark.deep)]
 """That with the more derivatives; the other one with -m slow."""
 
 
@@ -37,6 +37,7 @@ def rms(found, world):
     return np.sqrt(np.mean(position_errors(found, world.skin) ** 2))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("name", "seeds"),
     [
@@ -73,6 +74,7 @@ def test_ideal_readings(worlds, name):
     assert found.modulus == pytest.approx(world.modulus, rel=2e-5)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", FIRST)
 def test_a_softer_belief(worlds, name):
     world = worlds[name]
@@ -136,6 +138,7 @@ def test_indenter_offset(worlds):
         assert abs(value - truth) < 4 * sigma
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", FIRST)
 @pytest.mark.parametrize("method", ["posegraph", "posegraph_paper", "three_circles"])
 def test_the_paper_s_methods(worlds, name, method):
@@ -146,7 +149,7 @@ def test_the_paper_s_methods(worlds, name, method):
     assert error.mean() < 0.2e-3
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("name", MODELS)
 def test_next_contacts_aim_at_the_worst(worlds, name):
     world = worlds[name]
@@ -179,6 +182,7 @@ def test_silent_pairs_include_all_informative_ones(worlds, name):
     assert looked.issuperset(telling.tolist())
 
 
+@pytest.mark.deep
 def test_an_estimate_outside_the_model_is_refused(world):
     """The nominal E* is within the table of layered; the true one, far softer, is not."""
     thin = type(world)(extent=9e-3, model=ContactModel("layered", 0.49, 0.6e-3), young=1e6)

@@ -122,6 +122,7 @@ def test_a_learned_response_localizes_raw_readings():
     assert found == pytest.approx(normal, abs=0.2)
 
 
+@pytest.mark.deep
 def test_held_out_contacts_do_not_calibrate(physical, monkeypatch):
     recording, calibration, found = physical
     parts = []
@@ -165,7 +166,7 @@ def test_what_cannot_be_cross_validated(physical, tmp_path):
         calibration.cross_validate(recording, folds=200)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_loaded_calibration_is_cross_validated_alike(physical, tmp_path):
     recording, calibration, found = physical
     calibration.save(tmp_path / "skin")

@@ -62,6 +62,7 @@ def test_the_worst_taxel_is_aimed_at_and_gains_what_is_promised(world):
     assert worst < 0.85 * np.mean(blind)
 
 
+@pytest.mark.deep
 def test_a_taxel_touched_too_seldom_is_determined_afterwards(world):
     belief = world.belief(0.01, 0.05)
     recording, _ = thinned(world, 18, 1)

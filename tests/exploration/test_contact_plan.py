@@ -57,6 +57,7 @@ def test_the_list_says_where_the_indenter_is_pressed_on_a_sphere(scene, plan):
     assert table.column("force").to_pylist() == [scene.law.force_reference] * len(point)
 
 
+@pytest.mark.deep
 def test_every_pose_of_the_list_has_its_force_whatever_the_curvature():
     body = ms.Body.ellipsoid((0.09, 0.045, 0.045))
     scene = ms.Scene(
@@ -80,6 +81,7 @@ def test_every_pose_of_the_list_has_its_force_whatever_the_curvature():
     np.testing.assert_allclose(force, table.column("force").to_numpy(), rtol=1e-6)
 
 
+@pytest.mark.deep
 def test_contacts_are_a_spacing_apart_and_cover_all_taxels(scene, plan):
     points = plan.path.points
     gap = np.linalg.norm(points[:, None] - points, axis=2) + np.diag(np.full(len(points), np.inf))
@@ -138,6 +140,7 @@ def test_the_recording_has_the_contacts_of_the_list_and_the_map_is_at_the_bound(
     assert calibration.verdict.level == "PASS"
 
 
+@pytest.mark.deep
 def test_an_offset_of_the_tool_is_estimated_with_the_taxels(noisy):
     """It is constant in the indenter's frame, which a recording's orientations are given in."""
     scene = carried(noisy, "arm")
@@ -150,6 +153,7 @@ def test_an_offset_of_the_tool_is_estimated_with_the_taxels(noisy):
         assert abs(value + recorded) < 3.0 * sigma < 0.5 * abs(recorded)
 
 
+@pytest.mark.deep
 def test_the_list_is_written_as_csv_and_a_plan_that_moves_the_body_has_none(
     tmp_path, scene, plan, noisy
 ):

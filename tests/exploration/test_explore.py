@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 import meshskin as ms
 from meshskin.core.errors import ConfigError, ReachError
@@ -37,12 +38,29 @@ def test_a_small_cap_is_turned_within_the_joint_limits(sphere, radius, count, sp
     assert np.ptp(q[:, 5]) > np.pi  # a full turn of the azimuth is the last joint's to make
 
 
+@pytest.mark.deep
 def test_a_half_ball_is_explored_in_lanes_where_the_arm_cannot_turn_its_parallels(sphere):
     scene = capped(sphere, 0.02, 37, 6.5e-3)
     plan = plan_exploration(scene)
     assert plan.unreachable == {}
     paths = replace(scene.exploration, pattern="parallels")
     with pytest.raises(ReachError, match=r"past its limit.*pattern lanes"):
+        plan_exploration(scene.with_(exploration=paths))
+
+
+@pytest.mark.parametrize("radius", [0.03, 0.035])
+def test_a_ball_beside_another_is_explored_in_lanes(sphere, radius):
+    """Its parallels would lead to the other ball, which is as high or higher."""
+    balls = [trimesh.creation.icosphere(3, r) for r in (0.03, radius)]
+    balls[1].apply_translation((0.1, 0.0, 0.0))
+    body = ms.Body.from_mesh(trimesh.util.concatenate(balls))
+    skin = ms.Skin.cover(ms.Body.sphere(0.03), count=40, spacing=5e-3, region=Cap((0.0, 0.0, 1.0)))
+    scene = sphere.with_(body=body, skin=skin, loop=replace(sphere.loop, mode="quasi_static"))
+    plan = plan_exploration(scene)
+    assert plan.unreachable == {}
+    assert plan.path.points[:, 0].max() < 0.03
+    paths = replace(scene.exploration, pattern="parallels")
+    with pytest.raises(ReachError, match=r"convex about the skin.*got \d+.*pattern lanes"):
         plan_exploration(scene.with_(exploration=paths))
 
 

@@ -58,6 +58,7 @@ def test_a_geodesic_of_a_sphere_is_a_great_circle_that_closes():
     assert length == pytest.approx(0.2 * np.pi, rel=0.01)
 
 
+@pytest.mark.deep
 def test_a_whole_body_is_covered_about_once():
     body = Body.capsule(0.03, 0.06)
     sites = Skin.cover(body, spacing=6e-3).positions
@@ -124,6 +125,7 @@ def test_the_region_of_sparse_taxels_ends_where_none_feels_a_contact():
     assert radius(50e-3) == pytest.approx(7.5e-3)
 
 
+@pytest.mark.deep
 def test_the_lanes_of_sparse_taxels_skip_what_is_between_them():
     body = Body.capsule(0.03, 0.2)
     sites = Skin.cover(body, spacing=30e-3).positions
@@ -182,3 +184,23 @@ def test_geodesics_for_a_few_taxels_that_are_left_do_not_go_round_the_body(monke
     points = np.concatenate([piece.point for piece in cover(body, sites, 4e-3, 7e-3, 1.5e-3)])
     assert cKDTree(points).query(sites)[0].max() < 4e-3
     assert len(searches) < 900  # 1313 where each geodesic may cross the whole region
+
+
+@pytest.mark.parametrize(("gap", "apart"), [(0.3e-3, False), (1e-3, True), (2e-3, True)])
+def test_lanes_do_not_cross_gaps(gap, apart):
+    """Two plates side by side, with taxels on the first or on both."""
+    plate = trimesh.creation.box((0.04, 0.04, 0.01))
+    other = plate.copy().apply_translation((0.04 + gap, 0.0, 0.0))
+    body = Body.from_mesh(trimesh.util.concatenate([plate, other]))
+    middle, grid = 0.02 + 0.5 * gap, np.linspace(-0.018, 0.018, 8)
+    sites = np.array([(x, y, 5e-3) for x in grid for y in grid])
+    both = np.concatenate([sites, sites + np.array([2.0 * middle, 0.0, 0.0])])
+    for places in (sites, both):
+        pieces = cover(body, places, SPACING, 5e-3, STEP)
+        beyond = [piece.point[:, 0] > middle for piece in pieces]
+        assert cKDTree(np.concatenate([p.point for p in pieces])).query(places)[0].max() < SPACING
+        if apart:
+            assert len({bool(side.any()) for side in beyond}) == (1 if places is sites else 2)
+            assert all(side.all() or not side.any() for side in beyond)
+        else:
+            assert any(side.any() for side in beyond)

@@ -72,6 +72,7 @@ def test_the_skin_of_the_sphere_is_a_cap(sphere, scene):
         ms.Exploration(pattern="lane")
 
 
+@pytest.mark.deep
 def test_a_region_without_taxels_and_a_body_without_an_arm():
     body = ms.Body.sphere(0.05)
     region = HalfSpace((0.0, 0.0, 1.0), 0.04)
@@ -85,6 +86,7 @@ def test_a_region_without_taxels_and_a_body_without_an_arm():
     assert len(wide.path.points) < len(plan.path.points)
 
 
+@pytest.mark.deep
 def test_the_spacing_of_lanes_follows_the_contact_patch():
     body, region = ms.Body.sphere(0.05), HalfSpace((0.0, 0.0, 1.0), 0.045)
     plain, small = (
@@ -111,6 +113,7 @@ def test_a_joint_that_cannot_turn_enough_is_named(sphere):
         plan_exploration(sphere.with_(exploration=LANES, arm=stiff))
 
 
+@pytest.mark.deep
 def test_taxels_beyond_a_joint_limit_are_listed_and_the_others_explored(sphere):
     arm = replace(sphere.arm, lower=sphere.arm.lower.copy(), upper=sphere.arm.upper.copy())
     wide = ms.Skin.cover(sphere.body, count=24, spacing=16e-3, region=Cap((0.0, 0.0, -1.0)))
@@ -146,6 +149,7 @@ def test_the_inside_of_a_narrow_ring_is_left_out_with_the_reason():
     assert {plan.unreachable.get(k) for k in inside} == {collision.HOLLOW}
 
 
+@pytest.mark.deep
 def test_the_arm_avoids_the_support_and_the_body(sphere):
     plan = plan_exploration(sphere.with_(exploration=LANES))
     q = np.concatenate(list(angles(sphere, plan)))[::20]
@@ -185,6 +189,7 @@ def test_contacts_on_the_far_face_of_a_plate_do_not_cover_a_taxel():
     assert taxels_left_out(skin, 8e-3, [single], []) == {0: NOT_COVERED}
 
 
+@pytest.mark.deep
 def test_lanes_too_far_apart_are_named_with_the_remedy(sphere):
     scene = sphere.with_(
         loop=replace(sphere.loop, mode="quasi_static"),
@@ -200,6 +205,7 @@ def test_lanes_too_far_apart_are_named_with_the_remedy(sphere):
     assert not plan_exploration(scene.with_(exploration=closer)).path.unreachable
 
 
+@pytest.mark.deep
 def test_no_slide_leads_through_a_thin_plate():
     plate = trimesh.creation.box((0.06, 0.04, 0.003))
     body = ms.Body.from_mesh(plate)

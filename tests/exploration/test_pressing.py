@@ -68,6 +68,7 @@ def test_a_hollow_too_wide_for_the_force_is_pressed_lighter(dented):
         assert np.mean(light.invalid_reasons(hit.curvature) == "") > 0.95
 
 
+@pytest.mark.deep
 def test_a_skin_all_of_which_is_too_soft_is_pressed_lighter(noisy):
     """Under 3 N the patch is wider than a contact model allows at every taxel (a/R = 0.61)."""
     soft = noisy.with_(
@@ -129,6 +130,7 @@ def test_a_carried_indenter_is_pressed_lighter_too(dented):
     assert (response.settling, response.overshoot, response.disturbance) == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.deep
 def test_what_a_force_serves_too_little_is_left_to_the_next_one(dented, monkeypatch):
     """Half the force reaches points, none of the taxels is served thereby: a quarter tries them."""
     calls = []
@@ -146,6 +148,7 @@ def test_what_a_force_serves_too_little_is_left_to_the_next_one(dented, monkeypa
     assert set(plan.path.forces) == {3.0, 0.75}
 
 
+@pytest.mark.deep
 def test_what_keeps_lighter_contacts_from_a_taxel_is_named(dented):
     """An arm that meets the support in the dent: no force is light enough."""
     plan = plan_exploration(dented.with_(loop=replace(dented.loop, mode="arm")))

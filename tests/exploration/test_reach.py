@@ -43,7 +43,9 @@ def angle_prism(width=0.06, thick=0.02, length=0.1):
 
 
 def test_a_sphere_is_reached_everywhere():
-    for one in ms.reach(ms.Body.sphere(0.1), (2e-3, 10e-3)):
+    found = [*ms.reach(ms.Body.sphere(0.1), (2e-3, 10e-3)), *ms.reach(ms.Body.sphere(0.1), 10e-3)]
+    assert [one.radius for one in found] == [2e-3, 10e-3, 10e-3]
+    for one in found:
         assert one.share == 1.0
         assert not one.reasons
 
@@ -60,6 +62,7 @@ def test_a_cylinder_but_for_its_rims():
     assert one.reasons == {EDGE: pytest.approx(1 - one.share)}
 
 
+@pytest.mark.deep
 def test_an_inner_corner_keeps_a_sphere_at_its_radius():
     """Along the inner edge a band of the indenter's radius, and of the depth, is not reached."""
     body, width, thick, length = angle_prism(), 0.06, 0.02, 0.1
@@ -111,6 +114,7 @@ def test_what_is_not_reached_is_in_parts_that_are_never_zero():
     assert str(module.Reach(5e-3, 1.0, 1.0)) == "5 mm reaches 100% with 1 N or less"
 
 
+@pytest.mark.deep
 def test_a_plan_recommends_an_indenter_that_fits():
     """12 mm from an inner corner a sphere of 16 mm does not fit, one of 8 mm does."""
     body = angle_prism()
@@ -127,6 +131,7 @@ def test_a_plan_recommends_an_indenter_that_fits():
     assert not ms.explore(body, skin, indenter=ms.Indenter.sphere(8e-3), **options).notes
 
 
+@pytest.mark.deep
 def test_a_plan_recommends_a_lighter_force_where_it_reaches_more(monkeypatch):
     """In a bowl of 20 mm the patch of 3 N is too wide for contact models (a/R = 0.60, limit 0.52),
     that of 1.5 N is not (0.48): a plan under 3 N presses with it, too."""

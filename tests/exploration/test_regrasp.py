@@ -58,6 +58,7 @@ def test_the_arm_lifts_off_changes_its_posture_and_touches_again(islands, indent
     assert near.max() < 3e-3
 
 
+@pytest.mark.deep
 def test_the_metadata_hold_the_reasons_of_taxels_that_are_left_out(islands):
     arm = replace(islands.arm, lower=islands.arm.lower.copy())
     free = plan_exploration(islands)
@@ -84,6 +85,7 @@ def followed(scene, plan):
     return found
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [None, 1, 2, 3])
 def test_joint_limits_break_lanes_of_any_order(seed, monkeypatch):
     if seed is not None:  # the order and the direction of lanes are the planner's own business

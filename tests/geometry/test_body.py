@@ -276,6 +276,7 @@ def test_the_mesh_of_a_sphere_is_the_icosphere_of_trimesh(level):
     assert vertices == pytest.approx(np.asarray(oracle.vertices), abs=1e-15)
 
 
+@pytest.mark.deep
 def test_a_body_is_used_without_imports_that_take_long():
     code = """
 import sys, meshskin as ms

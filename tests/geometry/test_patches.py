@@ -157,6 +157,7 @@ def test_names_survive_repairs_that_renumber_faces(ball, tmp_path):
         Skin.cover(body, spacing=6e-3, region="flat")
 
 
+@pytest.mark.deep
 def test_a_skin_is_laid_on_a_patch_by_its_name(ball, tmp_path):
     write_obj(tmp_path / "hand.obj", ball.vertices, ball.faces, parts(ball))
     body = Body.load(tmp_path / "hand.obj", units="m")
@@ -270,6 +271,7 @@ def scene_tables(folder, region):
     return file.read_tables(folder / "scene.toml")
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("table", "region"),
     [

@@ -39,6 +39,7 @@ def test_foot_normal_and_curvature_follow_from_the_implicit_surface(exact, level
         np.testing.assert_allclose(np.sort(hit.curvature[k]), tangential, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.deep
 def test_ellipsoid_foot_is_the_nearest():
     exact = Ellipsoid((0.1, 0.07, 0.05))
     rng = np.random.default_rng(1)

@@ -63,6 +63,7 @@ def test_pressures_at_and_above_the_peak(world, noisy, share, method):
         assert found.observed[:, :2].all()
 
 
+@pytest.mark.deep
 def test_forces_near_zero(world, noisy):
     recording, belief = noisy
     force = recording.force.copy()
@@ -111,6 +112,7 @@ def with_twin(world, recording, factor):
     return both, world.belief(0.01, 0.05, taxel_ids=np.append(world.ids, 999))
 
 
+@pytest.mark.deep
 def test_two_taxels_at_one_place(world, noisy, clean):
     rng = np.random.default_rng(1)
     found = calibrate(*with_twin(world, noisy[0], lambda k: 1 + 1e-7 * rng.normal(size=k)))
@@ -120,6 +122,7 @@ def test_two_taxels_at_one_place(world, noisy, clean):
     assert errors.mean() < 1.05 * clean.mean()
 
 
+@pytest.mark.deep
 def test_two_taxels_with_equal_readings_have_no_place(world, noisy, clean):
     """One of them is a copy: nothing tells which, nor where it is. The others are as without."""
     found = calibrate(*with_twin(world, noisy[0], np.ones))
@@ -138,7 +141,7 @@ def test_all_readings_zero(world, threshold, method):
         calibrate(silent, world.belief(0.01, threshold), method=method)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_all_readings_saturated(world, noisy):
     recording, _ = noisy
     level = 0.06 * world.peak_reference
@@ -199,6 +202,7 @@ def test_nan_in_a_recording(noisy, method):
         calibrate(recording.with_columns(pressure=pressure), belief, method=method)
 
 
+@pytest.mark.deep
 def test_a_belief_without_a_reference_force_takes_the_recordings(world, noisy, clean):
     recording, belief = noisy
     silent = Belief(
@@ -216,6 +220,7 @@ def test_a_belief_without_a_reference_force_takes_the_recordings(world, noisy, c
     assert found.belief.force_reference == pytest.approx(3.0, rel=0.01)
 
 
+@pytest.mark.deep
 def test_an_iteration_limit_of_one(world, noisy):
     far = gather(noisy[0], world.belief(0.01, 0.05, young=2.5 * world.young))
     with pytest.raises(CalibrationError, match=r"did not converge.*raise the iteration limit"):
@@ -227,6 +232,7 @@ def test_an_iteration_limit_of_one(world, noisy):
     )
 
 
+@pytest.mark.deep
 def test_ipopt_in_restoration_failure(world, noisy, monkeypatch):
     data = gather(noisy[0], world.belief(0.01, 0.05, young=2.5 * world.young))
     whole = joint_estimator.minimize
@@ -242,6 +248,7 @@ def test_ipopt_in_restoration_failure(world, noisy, monkeypatch):
         maximum_likelihood.optimum(data).result()
 
 
+@pytest.mark.deep
 def test_a_modulus_far_off(world, noisy, clean):
     for factor in (0.6, 5.0):
         found = calibrate(noisy[0], world.belief(0.01, 0.05, young=factor * world.young))

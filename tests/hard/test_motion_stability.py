@@ -88,6 +88,7 @@ def longest(place, young, speed, integrator):
     return stability.stable_limit(simulator, q, track.references[0], most)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize(
     ("young", "speed"),
@@ -136,6 +137,7 @@ def judged(place, young, speed, integrator, dt):
     return stated, np.abs(found[integrator] - exact).max() / max(exact.max(), 3.0)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("integrator", FIRST)
 @pytest.mark.parametrize(
     ("young", "speed", "dt"),
@@ -185,6 +187,7 @@ def test_the_run_itself_keeps_the_error_that_is_stated(sphere, integrator):
     assert found["cvodes"][-1] == pytest.approx(3.0, abs=0.01)
 
 
+@pytest.mark.deep
 def test_delayed_readings_are_as_old_in_shorter_steps(sphere):
     """Half as long steps, twice as many readings on their way: nearly the same forces."""
     scene = sphere.with_(
@@ -201,6 +204,7 @@ def test_delayed_readings_are_as_old_in_shorter_steps(sphere):
     assert 1e-4 < np.abs(own - finer).max() < 3.0 * stated
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("integrator", FIRST)
 @pytest.mark.parametrize("shape", ["inertia", pytest.param("identity", marks=pytest.mark.slow)])
 def test_a_step_too_long_is_refused_and_the_step_named_works(sphere, integrator, shape):
@@ -220,6 +224,7 @@ def test_a_step_too_long_is_refused_and_the_step_named_works(sphere, integrator,
     assert abs(found[-1] - 3.0) < 0.05
 
 
+@pytest.mark.deep
 def test_a_loop_that_no_step_can_save_is_named(place, monkeypatch):
     simulator, track = place(integrator="rk4")
     monkeypatch.setattr(stability, "spectral_radius", lambda *_: 2.0)
@@ -227,6 +232,7 @@ def test_a_loop_that_no_step_can_save_is_named(place, monkeypatch):
         stability.stable_limit(simulator, simulator.state[:6], track.references[0], 1e-3)
 
 
+@pytest.mark.deep
 def test_convergence_orders(place):
     """Error of the state after 16 ms in contact against CVODES, over the step: slopes 1, 1, 4."""
     law = Law(approach_speed=1.0, force_reference=3.0)  # no limit is met: the field is smooth
@@ -259,6 +265,7 @@ LEVER = """<robot name="lever"><link name="root"/>
     <origin xyz="0.5 0 0"/></joint><link name="tool0"/></robot>"""
 
 
+@pytest.mark.deep
 def test_energy_does_not_drift_over_10000_contact_periods(sphere):
     """A lever that lies on the indenter by its weight, without control: the contact is a spring."""
     arm, modulus = Arm.from_text(LEVER), 1e7
@@ -378,6 +385,7 @@ def drift(body, hanging, periods):
     return tenths[:, 0] / tenths[:, 1], sums[:, 2].min()
 
 
+@pytest.mark.deep
 @needs_compiler
 @pytest.mark.parametrize(
     ("periods", "faces"), [(500, 5_120), pytest.param(10_000, 80_000, marks=pytest.mark.slow)]
@@ -415,6 +423,7 @@ def test_contact_that_is_lost_is_made_again(place, integrator):
     assert np.abs(found[integrator] - exact).max() <= estimate * max(exact.max(), 3.0)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("integrator", [*INTEGRATORS, "cvodes"])
 def test_touch_without_penetration_and_depth_zero_are_finite(place, integrator):
     simulator, track = place(gap=0.0, integrator=integrator)
@@ -516,6 +525,7 @@ def test_sliding_at_half_a_metre_a_second_keeps_to_the_reference(sphere):
     assert np.abs(without - fine).max() < 0.02
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("young", [1e4, 2e5, 1e9])
 def test_the_quasi_static_touch_keeps_its_stated_error(sphere, young):
     """Without an arm the depth falls at the law's own speed: against steps a tenth as long."""

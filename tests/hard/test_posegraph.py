@@ -105,6 +105,7 @@ def test_a_local_minimum_is_not_certified_and_certify_leaves_it():
     assert bound <= freed.certificate.cost * (1 + 1e-9)
 
 
+@pytest.mark.deep
 def test_a_relaxation_that_is_not_tight_is_not_certified():
     """Rotations that are nearly random: the relaxation is not tight."""
     certified = []

@@ -76,6 +76,7 @@ def errors(found):
     return np.linalg.norm(found.positions - TRUTH, axis=1)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("readings", PRESSURE_FIRST)
 def test_one_taxel_that_never_changes_is_named_and_harms_no_other(readings):
     level, force = sound()
@@ -93,7 +94,7 @@ def test_readings_that_never_change_are_refused(readings):
         answer(0 * level + 0.1 * np.arange(1, TAXELS + 1), force, dense=True, readings=readings)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("readings", ["pressure", "raw"])
 def test_an_offset_of_all_readings_changes_nothing(readings):
     level, force = sound()
@@ -118,6 +119,7 @@ def test_pressures_that_fall_are_named():
             answer(log, force, dense=dense)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("readings", PRESSURE_FIRST)
 def test_the_end_of_one_taxel_s_range_is_found(readings):
     level, force = sound()
@@ -145,6 +147,7 @@ def test_ends_of_ranges_by_repeated_largest_readings():
     np.testing.assert_array_equal(ends, [np.inf, 0.7, np.inf, np.inf, np.inf])
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("readings", PRESSURE_FIRST)
 def test_frames_without_contact_are_named_where_they_have_a_force(readings):
     level, force = sound()
@@ -170,6 +173,7 @@ def test_light_touches_beside_answered_contacts_are_no_fault():
         answer(level, np.full(COUNT, FORCE))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("readings", PRESSURE_FIRST)
 def test_equal_forces_are_answered_with_what_they_leave_open(readings):
     level = sound()[0]

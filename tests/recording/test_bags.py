@@ -123,6 +123,7 @@ def test_a_torn_file_is_read_up_to_the_tear(bags, tmp_path, name, share):
     assert "is torn" in log.notes[0]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("share", [pytest.param(0.2, marks=pytest.mark.slow), 0.35])
 @pytest.mark.parametrize("suffix", ["bag", "mcap"])
 def test_garbage_in_a_chunk_is_left_out_and_said(tmp_path, streams, suffix, share):
@@ -148,6 +149,7 @@ def test_garbage_in_a_chunk_is_left_out_and_said(tmp_path, streams, suffix, shar
     assert 0.5 < kept < 0.99
 
 
+@pytest.mark.deep
 def test_garbage_in_a_message_is_left_out_and_counted(tmp_path):
     """Garbage within one message: nothing but its content shows it."""
     path = tmp_path / "garbage.mcap"
@@ -549,6 +551,7 @@ def test_a_message_without_values_is_refused(tmp_path):
         read_log(path, LogMap((StreamMap("/skin", "taxels"),)))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "name",
     ["ros1.bag", "ros2_sqlite/ros2_sqlite.db3", pytest.param("lz4.mcap", marks=pytest.mark.slow)],

@@ -32,6 +32,7 @@ def test_the_offset_is_recovered_to_2_ms(by, late):
     assert found.usable
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("by", [pytest.param("force", marks=pytest.mark.slow), "motion"])
 def test_sigma_is_the_scatter_over_seeds(by):
     found = [estimate(RobotLog(seed=seed), by) for seed in range(16)]
@@ -81,6 +82,7 @@ def test_the_noise_of_taxels_that_are_not_pressed_is_no_slide():
     assert abs(found.offset - 0.037) < 4 * found.sigma < 0.02
 
 
+@pytest.mark.deep
 def test_strokes_over_the_skin_tell_nothing():
     """Other taxels answer at their end than at their onset, as strongly as it happens."""
     for seed in range(10):
@@ -88,6 +90,7 @@ def test_strokes_over_the_skin_tell_nothing():
         assert estimate_of_presses(seed, 0.03, away=0.02) is None
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "length",
     [pytest.param(0.0, marks=pytest.mark.slow), 1e-3, pytest.param(3e-3, marks=pytest.mark.slow)],

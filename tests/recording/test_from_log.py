@@ -67,6 +67,7 @@ def test_all_streams_are_brought_to_the_clock_of_the_robot(streams):
     assert (found.readings - truth).std() < 1.1 * np.hypot(ROBOT.noise, 0.3)
 
 
+@pytest.mark.deep
 def test_a_late_wrench_moves_itself_and_not_the_skin(streams):
     times, wrench = streams["/wrench"]
     frames = log_frames(log_of({**streams, "/wrench": (times + 0.06, wrench)}), MAP)
@@ -80,6 +81,7 @@ def test_a_late_wrench_moves_itself_and_not_the_skin(streams):
         assert not log_frames(log_of({**streams, "/wrench": (times + 0.06, wrench)}), given).notes
 
 
+@pytest.mark.deep
 def test_what_is_odd_in_the_readings_is_noted():
     streams = RobotLog(contacts=40).streams()
     times, counts = streams["/skin"]
@@ -216,6 +218,7 @@ def test_a_log_needs_the_map_that_it_was_read_with(streams):
         LogMap("m.toml")
 
 
+@pytest.mark.deep
 def test_bad_maps_are_refused(streams):
     log_map = LogMap(MAP.streams[:2])
     with pytest.raises(ConfigError, match="names no taxels"):

@@ -32,6 +32,7 @@ def texts(figure: object) -> str:
     return " | ".join(t.get_text() for t in figure.findobj(matplotlib.text.Text))  # type: ignore[attr-defined]
 
 
+@pytest.mark.deep
 def test_importing_the_report_imports_no_plotting_library() -> None:
     code = (
         "import sys, meshskin.report, meshskin.report.page, meshskin.report.figure_set\n"
@@ -56,6 +57,7 @@ def test_drawing_never_imports_pyplot() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+@pytest.mark.deep
 def test_save_writes_png_and_svg(tmp_path: Path) -> None:
     figure = curves.force([0.0, 1.0], [0.0, 3.0], 3.0)
     png, svg = theme.save(figure, tmp_path / "figures", "force")
@@ -254,10 +256,11 @@ def test_names_of_estimators_that_err_alike_do_not_overlap(case: SimpleNamespace
         assert not any(one.overlaps(other) for other in texts[:k])
 
 
-def test_names_of_estimators_do_not_cover_each_other() -> None:
+def test_names_of_estimators_cover_neither_each_other_nor_points() -> None:
     points = {
         "joint": (0.22, 0.55), "trilateration": (0.052, 1.01), "three circles": (0.039, 1.08),
         "pose graph": (1.231, 1.0), "pose graph, isotropic": (1.178, 1.1), "paper": (1.114, 3.7),
+        "eq15": (0.07, 1.6),
     }  # fmt: skip
     figure = precision.accuracy_time(points, {"simulate": 1.0}, 0.0095)
     figure.draw_without_rendering()
@@ -268,6 +271,7 @@ def test_names_of_estimators_do_not_cover_each_other() -> None:
     for k, box in enumerate(boxes):
         assert box.x1 <= left.bbox.x1 + 1.0
         assert not any(box.overlaps(other) for other in boxes[:k])
+        assert not any(box.contains(*left.transData.transform(p)) for p in points.values())
 
 
 def test_a_force_that_is_lost_or_peaks_keeps_an_axis_from_zero() -> None:

@@ -81,6 +81,7 @@ def test_errors_over_edges_are_described_where_contacts_tell_them():
     assert "over edges" not in " ".join(told[1].describe())
 
 
+@pytest.mark.deep
 def test_a_page_says_what_was_learned(case, tmp_path):
     c = replace(case.calibration(), response=response(5e-3), modulus=None, modulus_sigma=None)
     c = replace(c, unknowns={"modulus": (0.05, 0.02), "modulus of group 2": (0.3, 0.01)})
@@ -100,6 +101,7 @@ def test_a_page_says_what_was_learned(case, tmp_path):
     assert "1.35 ± 0.013" in html
 
 
+@pytest.mark.deep
 def test_a_page_of_the_contact_model_s_response_has_no_such_section(case, tmp_path):
     files = page.report(tmp_path / "report.html", calibration=case.calibration(), body=None)
     assert learned_response.TITLE not in files[0].read_text(encoding="utf-8")

@@ -19,7 +19,7 @@ from meshskin.estimation.cross_validation import CrossValidation
 from meshskin.estimation.demonstration import Demonstration
 from meshskin.estimation.uncertainty.verdict import Verdict
 from meshskin.geometry.body import Body
-from meshskin.report import markup, page
+from meshskin.report import figure_set, markup, page
 from meshskin.report.advice import next_steps, outlying_taxels
 from meshskin.report.data import ReportData
 from meshskin.report.markup import table
@@ -219,6 +219,7 @@ def test_the_view_holds_truth_estimates_frames_and_ellipsoids(
     assert len(base64.b64decode(mesh["i"]["bdata"])) // 4 <= 5000
 
 
+@pytest.mark.deep
 def test_without_truth_the_stated_uncertainty_is_given(
     case: SimpleNamespace, tmp_path: Path, body: Body
 ) -> None:
@@ -240,6 +241,7 @@ def test_without_truth_the_stated_uncertainty_is_given(
     assert not {"errors.svg", "fig5_estimates.svg"} & names
 
 
+@pytest.mark.deep
 def test_residuals_have_a_map_where_there_is_no_truth(
     case: SimpleNamespace, tmp_path: Path, body: Body, full: Written
 ) -> None:
@@ -280,6 +282,7 @@ def test_held_out_contacts_have_a_section(case: SimpleNamespace, tmp_path: Path)
     assert "-2.25 per reading" in text.replace("\N{MINUS SIGN}", "-")
 
 
+@pytest.mark.deep
 def test_a_calibration_alone_is_enough(case: SimpleNamespace, tmp_path: Path) -> None:
     c = case.calibration()
     files = page.report(tmp_path / "report.html", body=None, calibration=c)
@@ -290,6 +293,7 @@ def test_a_calibration_alone_is_enough(case: SimpleNamespace, tmp_path: Path) ->
     assert page.report(tmp_path / "b.html", body=None, calibration=c, truth=case.skin())
 
 
+@pytest.mark.deep
 def test_the_body_is_that_of_the_belief(case: SimpleNamespace, tmp_path: Path, body: Body) -> None:
     c = case.calibration()
     known = replace(c, belief=SimpleNamespace(body=body))
@@ -323,6 +327,7 @@ def test_every_method_has_its_own_color() -> None:
     assert len({*theme.METHOD_COLOURS.values(), theme.WARNING}) == len(theme.METHOD_COLOURS) + 1
 
 
+@pytest.mark.deep
 def test_a_skin_that_was_never_touched_has_a_page(
     case: SimpleNamespace, tmp_path: Path, body: Body
 ) -> None:
@@ -482,3 +487,20 @@ def test_noiseless_data_need_no_advice_about_noise(case: SimpleNamespace) -> Non
     assert "taxels" in numbers
     assert "nees" not in numbers  # errors of arithmetic do not follow the stated variance
     assert "To halve" not in " ".join(next_steps(found))
+
+
+@pytest.mark.deep
+def test_figures_drawn_in_two_processes_are_those_of_one(
+    case: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(figure_set, "DRAWN", (figure_set.uncertainty, figure_set.coverage))
+    data, steps = ReportData(case.calibration()), list[tuple[int, int]]()
+    one, _ = figure_set.draw_figures(tmp_path / "one", data, None)
+    two, left_out = figure_set.draw_figures(
+        tmp_path / "two", data, lambda _, *done: steps.append(done), beside=True
+    )
+    assert [picture.title for picture in one] == [picture.title for picture in two]
+    assert not left_out
+    assert steps[-1] == (2, 2)
+    for here, there in zip(one, two, strict=True):
+        assert [a.read_bytes() for a in here.files] == [b.read_bytes() for b in there.files]

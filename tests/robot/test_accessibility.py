@@ -43,6 +43,7 @@ def test_directions_leave_no_wide_gap():
     assert np.degrees(nearest.max()) < 10.0
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in (2, 3))])
 def test_a_deep_cup_is_open_however_it_is_turned(seed):
     """0.6 m deep, 0.3 m wide: its opening is 14 degrees wide, seen from the middle of its end."""

@@ -164,6 +164,7 @@ def test_a_link_of_the_icub_is_a_body():
     assert repr(robot).startswith("<Robot 'iCub': ")
 
 
+@pytest.mark.deep
 def test_taxels_of_a_link_in_the_frame_of_another(tmp_path):
     skin = ms.Skin.cover(ms.Body.sphere(0.05), spacing=0.03, seed=1)
     robot = odd(tmp_path).with_skin("d", skin)

@@ -55,6 +55,7 @@ def test_real_arm_agrees_with_pinocchio(name):
     agrees(Arm.from_urdf(urdf(name), tip=ROBOTS[name]))
 
 
+@pytest.mark.deep
 @needs_icub
 @pytest.mark.parametrize("tip", ["l_forearm", "l_lower_leg", "chest"])
 def test_icub_agrees_with_pinocchio(tip):

@@ -87,6 +87,7 @@ def test_a_contact_that_can_be_made_is_found_with_its_spin(arm):
     np.testing.assert_allclose(arm.pose(nodes.q[found]), spun(spin) @ targets[k], atol=1e-9)
 
 
+@pytest.mark.deep
 def test_all_of_60_taxels_of_a_real_arm_of_five_joints_are_reached():
     """Panda, link 5 (joints 1 to 5); spins on a grid reach none of them."""
     file = urdf("panda.urdf")

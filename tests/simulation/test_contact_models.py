@@ -30,8 +30,8 @@ def test_the_slope_is_the_derivative_of_the_force(model):
     [
         ("layered", "arm"),
         ("elliptic", "quasi_static"),
-        pytest.param("elliptic", "arm", marks=pytest.mark.slow),
-        pytest.param("layered", "quasi_static", marks=pytest.mark.slow),
+        pytest.param("elliptic", "arm", marks=pytest.mark.deep),
+        pytest.param("layered", "quasi_static", marks=pytest.mark.deep),
     ],
 )
 def test_the_force_settles_at_its_reference(model, mode):
@@ -63,6 +63,7 @@ def test_auto_takes_the_first_model_that_holds():
         sphere.with_(contact="eliptic").model  # noqa: B018
 
 
+@pytest.mark.deep
 def test_a_model_that_does_not_hold_is_refused_or_its_places_left_out():
     sphere = ms.Scene.load("sphere")
     soft = sphere.with_(material=replace(sphere.material, young=2e4))

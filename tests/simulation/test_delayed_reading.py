@@ -105,6 +105,7 @@ def test_a_delay_is_a_whole_number_of_steps(sphere):
         replace(sphere.loop, delay=1.6e-3)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("delay", [5e-3, 1e-2])
 def test_a_delay_limits_gamma_and_says_so(sphere, delay):
     """The force error obeys s (s + L) + L gamma exp(-s T) = 0: its critical gamma, to 20 %."""

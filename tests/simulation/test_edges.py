@@ -35,6 +35,7 @@ def box_scene(sphere):
     )  # fmt: skip
 
 
+@pytest.mark.deep
 def test_taxels_at_an_edge_are_named_and_the_others_explored(box_scene):
     found = plan_exploration(box_scene)
     row = len(box_scene.skin) // 4
@@ -128,6 +129,7 @@ def moved_path(path, offset):
     return replace(path, points=path.points + offset, poses=poses, twists=twists)
 
 
+@pytest.mark.deep
 def test_a_body_far_from_its_origin_turns_about_its_middle(sphere):
     """From one face of a box to the next, the origin moves along a circle, not the body."""
     box = trimesh.creation.box((0.05, 0.04, 0.03))

@@ -143,6 +143,7 @@ def test_at_rest_the_torques_carry_the_weight_and_the_contact(sphere, case):
     np.testing.assert_allclose(rows["torque"], wanted, atol=0.02)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("mode", [pytest.param("arm", marks=pytest.mark.slow), "quasi_static"])
 def test_a_slanted_indenter_is_explored_by_lanes(ellipsoid, mode):
     scene = ellipsoid.with_(loop=replace(ellipsoid.loop, mode=mode))
@@ -181,6 +182,7 @@ def test_between_places_the_body_is_lifted_the_way_the_indenter_points(sphere):
     assert set(recording.reading_taxel) == set(scene.skin.ids)
 
 
+@pytest.mark.deep
 def test_single_touches_and_presses_are_made_from_the_side(ellipsoid):
     points = ellipsoid.skin.positions[::6]
     for sampler in (static_sampler, closed_loop_sampler):

@@ -77,6 +77,7 @@ def test_moments_of_a_solid_are_those_of_trimesh():
     np.testing.assert_allclose(inertia, cone.moment_inertia, atol=1e-12)
 
 
+@pytest.mark.deep
 def test_the_loop_of_a_primitive_is_made_without_trimesh():
     """Its import takes 0.6 s."""
     code = """

@@ -47,6 +47,7 @@ def test_contacts_lie_on_the_sphere(recording):
     np.testing.assert_allclose(cosine, 1.0, atol=1e-9)
 
 
+@pytest.mark.deep
 def test_the_same_seed_gives_the_same_recording(few):
     first, again, other = (ms.simulate(few, seed) for seed in (1, 1, 2))
     assert again.contacts.equals(first.contacts)
@@ -69,6 +70,7 @@ def test_noise_has_its_sigma_and_the_threshold_holds(noisy, recording, noisy_rec
     assert noisy_recording.pressure.min() > 0.05 * noisy.patch.peak
 
 
+@pytest.mark.deep
 def test_an_effect_that_is_off_leaves_the_rest_bit_for_bit(sphere, few):
     short = sphere.with_(exploration=few.exploration)
     recording = ms.simulate(short, seed=1)
@@ -79,6 +81,7 @@ def test_an_effect_that_is_off_leaves_the_rest_bit_for_bit(sphere, few):
     assert ms.simulate(louder, seed=1).contacts.equals(recording.contacts)
 
 
+@pytest.mark.deep
 def test_streaming_to_files_gives_the_same_recording(few, tmp_path):
     seen, recording = [], ms.simulate(few, seed=1)
     streamed = ms.simulate(

@@ -5,10 +5,12 @@ from itertools import groupby
 
 import numpy as np
 import pytest
+import trimesh
 
 import meshskin as ms
 from meshskin.core.errors import ReachError, SimulationError
 from meshskin.core.se3 import exp_so3, poses_of_states, transform
+from meshskin.exploration import parallels
 from meshskin.exploration.left_out import coverage
 from meshskin.exploration.path import ROWS, Path
 from meshskin.geometry.region import Cap
@@ -77,6 +79,19 @@ def test_contact_that_cannot_be_kept_is_given_up_by_name(prepared, track):
         for steps in explorer.run():
             if steps.phase == state_machine.SLIDE:
                 simulator.state[2] += 0.01
+
+
+def test_a_path_to_another_part_of_the_body_must_lift_off(sphere, monkeypatch):
+    """The parallels of a ball, unchecked, lead to another ball beside it and back."""
+    monkeypatch.setattr(parallels, "_check_convex", lambda *shifts: None)
+    balls = [trimesh.creation.icosphere(3, 0.03) for _ in range(2)]
+    balls[1].apply_translation((0.1, 0.0, 0.0))
+    body = ms.Body.from_mesh(trimesh.util.concatenate(balls))
+    skin = ms.Skin.cover(body, spacing=5e-3, count=80)
+    scene = sphere.with_(body=body, skin=skin, loop=replace(sphere.loop, mode="quasi_static"))
+    path = parallels.parallels(scene, 0.0, scene.loop.dt)
+    with pytest.raises(SimulationError, match=r"lost 6 times.*Path\.breaks"):
+        ms.simulate(scene, path=path)
 
 
 def test_a_place_that_the_body_cannot_come_to_is_given_up(prepared, sphere, track):
@@ -276,6 +291,7 @@ def test_an_indenter_that_is_not_there_is_named(prepared, track):
         list(ExplorationStateMachine(simulator, [track], SETTINGS).run())
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("surface", ["sphere", "exact"])
 def test_either_surface_of_the_law_holds_the_force_on_an_ellipsoid(sphere, surface):
     body = ms.Body.ellipsoid((0.11, 0.1, 0.08))

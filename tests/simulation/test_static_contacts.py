@@ -36,6 +36,7 @@ def test_the_body_stands_on_the_indenter(sphere):
     assert np.allclose(pressed.force, force)
 
 
+@pytest.mark.deep
 def test_effects_act_and_a_heading_that_varies_shows_the_indenters_offset(sphere):
     offset = (8e-4, -3e-4, 0.0)
     world = sphere.with_(

@@ -60,6 +60,7 @@ def test_the_compensated_law_reaches_its_reference(arm, body):
     assert column(loop, block, "force")[-1, 0] == pytest.approx(3.0, abs=1e-6)
 
 
+@pytest.mark.deep
 def test_the_printed_law_leaves_its_steady_error(arm, body):
     """e / F = k_t n^T J L^-1 J^T n / gamma, with k_t the tangent stiffness at the settled depth."""
     law = Law(torque="paper", shape="identity", gain=1000.0, gamma=20.0)
@@ -175,6 +176,7 @@ def terms(arm, body, law, depth):
     return values, (at(1e-7) - at(-1e-7)) / 2e-7
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "law", [Law(), Law(torque="paper", shape="identity", gain=50.0), Law(torque="off")], ids=str
 )
@@ -184,6 +186,7 @@ def test_the_stiffness_is_minus_the_derivative_of_the_force_by_the_depth(arm, bo
     assert (unlimited == (law.torque != "off")).all()
 
 
+@pytest.mark.deep
 def test_at_its_torque_limit_a_joint_has_the_stiffness_of_the_contact_alone(arm, body):
     weak = replace(arm, effort_limit=np.full(6, 1e-6))
     (_, stiffness, unlimited), derivative = terms(weak, body, Law(), 1e-3)

@@ -217,6 +217,7 @@ def test_a_position_file_in_millimetres_with_constant_normals_is_put_on_a_body(t
     np.testing.assert_allclose(placed.positions, skin.positions, atol=1e-8)
 
 
+@pytest.mark.deep
 @needs_skin
 def test_a_real_skin_with_constant_normals_is_put_on_its_real_link():
     """The shank's file, in the link's frame, lies within millimetres of the link's mesh."""

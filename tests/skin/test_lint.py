@@ -272,6 +272,7 @@ def test_correct_real_files_have_no_defects():
         assert lint(path) == ()
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "call",
     [

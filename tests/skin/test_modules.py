@@ -32,6 +32,7 @@ def assert_valid(body, modules, least):
     assert len(modules) * TRIANGLE > least * area(body, Whole())
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("body", "least"),
     [
@@ -47,6 +48,7 @@ def test_modules_cover_a_body_side_by_side(body, least):
     assert_valid(body, Skin.modules(body, seed=4), least)
 
 
+@pytest.mark.deep
 def test_packed_modules_do_not_overlap():
     """No two are nearer than the clearance, and most have about the requested gap."""
     body, region = Body.sphere(), HalfSpace((0.0, 0.0, 1.0), 0.03)
@@ -80,6 +82,7 @@ def test_a_push_separates_two_modules():
     assert abs(poses[1, 1, 0]) < 1e-12  # pushed through its middle
 
 
+@pytest.mark.deep
 def test_a_plane_is_tiled_without_gaps():
     """A disc on a large sphere: as many as the spacing's own tiling."""
     body, region = Body.sphere(1.0), Disc((0.0, 0.0, 1.0), 0.12)
@@ -108,6 +111,7 @@ def test_a_number_of_modules_in_a_region():
     assert np.abs(other.poses - modules.poses).max() > 1e-3
 
 
+@pytest.mark.deep
 def test_two_parts_of_a_region_are_both_covered():
     body = Body.sphere()
     z = body.surface.vertices[body.surface.faces].mean(axis=1)[:, 2]
@@ -162,6 +166,7 @@ def test_impossible_layouts_are_refused(wrong, match):
         Skin.modules(Body.sphere(), **wrong)
 
 
+@pytest.mark.deep
 def test_a_body_too_curved_for_a_rigid_module_is_refused():
     with pytest.raises(SkinError, match="less curved"):
         Skin.modules(Body.capsule(0.01, 0.2))

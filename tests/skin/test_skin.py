@@ -70,6 +70,7 @@ def test_the_seed_rotates_and_shifts_the_lattice(ball):
     assert KDTree(first.positions).query(other.positions)[0].max() > 1e-3
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("body", "spacing"),
     [
@@ -99,6 +100,7 @@ def test_count_alone_takes_the_spacing_from_the_area(ball):
     assert skin.positions[:, 0].min() >= 0.02
 
 
+@pytest.mark.deep
 def test_taxels_are_within_their_region(ball):
     cap = Skin.cover(ball, spacing=5e-3, region=Cap((0, 0, 2), np.radians(30)))
     assert np.all(cap.normals[:, 2] >= np.cos(np.radians(30)) - 1e-9)
@@ -111,6 +113,7 @@ def test_taxels_are_within_their_region(ball):
     assert np.isin(ball.closest(faces.positions).face, mask).mean() > 0.99
 
 
+@pytest.mark.deep
 def test_every_part_of_a_region_is_covered(ball):
     """Two caps at opposite sides, as one set of faces."""
     z = ball.mesh.triangles_center[:, 2]
@@ -131,6 +134,7 @@ def test_outermost_point_of_a_direction():
     np.testing.assert_allclose(outermost(body, (0, -3, 0)).point, [[0, -0.07, 0]], atol=1e-7)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("wrong", "match"),
     [
@@ -254,6 +258,7 @@ def test_a_skin_is_moved_by_rigid_transforms_only(ball, matrix):
         skin.moved(matrix)
 
 
+@pytest.mark.deep
 def test_no_taxel_is_where_two_parts_touch():
     """A box on a larger one: the faces between them are within the body, and no skin is there."""
     low = trimesh.creation.box((0.1, 0.1, 0.04)).subdivide_to_size(0.015)
@@ -266,6 +271,7 @@ def test_no_taxel_is_where_two_parts_touch():
     assert not ((x < 0.0259) & (y < 0.0239) & (z < 1e-3)).any()
 
 
+@pytest.mark.deep
 def test_a_sheet_below_another_one_is_covered_too():
     """Open sheets 5 cm apart, which close to bodies that contain each other."""
     sheet = trimesh.creation.box((0.1, 0.1, 0.02)).subdivide_to_size(0.02)

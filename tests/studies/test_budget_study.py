@@ -11,6 +11,7 @@ def study(script):
     return script("budget")
 
 
+@pytest.mark.deep
 def test_random_scenes_are_the_same_every_time(study):
     one, again, other = study.random_scene(9), study.random_scene(9), study.random_scene(10)
     np.testing.assert_array_equal(one.skin.positions, again.skin.positions)

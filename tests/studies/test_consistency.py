@@ -13,6 +13,7 @@ def study(script):
     return script("consistency")
 
 
+@pytest.mark.deep
 def test_one_scene(study, tmp_path, capsys):
     asked = ["--scenes", "offsets", "--seeds", "2", "--json", str(tmp_path / "x.json")]
     found = study.main(asked)

@@ -11,6 +11,7 @@ def study(script):
     return script("link_meshes")
 
 
+@pytest.mark.deep
 def test_meshes_are_calibrated_or_refused(study, monkeypatch, tmp_path, capsys):
     trimesh.creation.icosphere(subdivisions=4, radius=80.0).export(tmp_path / "ball.obj")
     trimesh.creation.icosphere(subdivisions=4, radius=0.001).export(tmp_path / "tiny.STL")
@@ -41,6 +42,7 @@ def test_a_crash_is_told_and_counted(study, monkeypatch, tmp_path):
     assert "crash: 1 skins, 0 taxels" in study.summary(rows)
 
 
+@pytest.mark.deep
 def test_a_wrong_taxel_is_counted(study, monkeypatch, tmp_path):
     trimesh.creation.icosphere(subdivisions=4, radius=80.0).export(tmp_path / "ball.stl")
     monkeypatch.setattr(study, "TAXELS", 12)

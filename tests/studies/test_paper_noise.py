@@ -43,6 +43,7 @@ def test_exact_displacements_are_restored_and_a_lone_pose_stays():
     assert np.abs(se3.inverse(found[0]) @ found[1] - measured[0]).max() < 1e-9
 
 
+@pytest.mark.deep
 def test_errors_grow_with_the_noise_and_iterations_reduce_them(noisy):
     skin = ms.Skin.cover(noisy.body, spacing=5e-3, count=30, seed=1)
     points = np.random.default_rng(0).normal(scale=2.5e-3, size=(10, 30, 3)) + skin.positions

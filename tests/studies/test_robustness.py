@@ -62,6 +62,7 @@ def test_errors_beyond_their_limits_are_listed(study):
     assert len(study.shortfalls({"2 dead": {"others": 1.2, "named": 0.5}})) == 2
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "name", ["dead", *map(slow, ["dies_halfway", "stuck", "swapped", "drifting"])]
 )

@@ -5,6 +5,7 @@ import csv
 import pytest
 
 
+@pytest.mark.deep
 def test_the_table(script, tmp_path, capsys):
     names = ["sound", "pressures 2 times too large", "contact points 1 mm aside"]
     found = script("wrong_logs").main(

@@ -77,6 +77,7 @@ def test_a_displaced_body_moves_the_taxels_as_its_feet_move(small, replay, solve
     np.testing.assert_allclose(shift, along * 0.1 / (0.1 + height), atol=0.03 * offset)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "effect",
     [IndenterOffset((5e-5, 3e-5, 0.0)), GainOffset(0.005, 0.0), Relaxation(0.99)],
@@ -230,6 +231,7 @@ def knobs(scene):
     return {k.name: k for k in scene_knobs(scene, mesh_bodies(scene), 10_000, 1_000.0)}
 
 
+@pytest.mark.deep
 def test_levels_of_knobs_are_ordered_from_cheap_to_fine(small):
     found = knobs(small)
     assert set(found) == {"contact model", "mesh", "time step"}
@@ -274,7 +276,7 @@ def test_an_effect_that_removes_readings_has_negative_seconds(trial):
     assert "gaussian_noise" not in trial.forced(1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_facets_are_those_of_the_declared_mesh(trial):
     """However coarse or fine the mesh that the smooth surface is fitted to."""
     with_them = trial.scene_with(with_required(["mesh_facets"], trial.items))
@@ -287,7 +289,7 @@ def test_facets_are_those_of_the_declared_mesh(trial):
     assert np.linalg.norm(facets(coarse.context(0))(centres)[0] - feet[0][0], axis=1).max() > 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_the_tolerance_is_measured(trial, small):
     knob = trial.tolerance
     moves = [level.shift for level in knob.levels]

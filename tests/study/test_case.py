@@ -89,6 +89,7 @@ def test_the_hash_sees_the_content_of_files_not_their_place(tmp_path):
     assert found[0] == found[1] != found[2]
 
 
+@pytest.mark.deep
 def test_the_hash_is_the_same_in_another_process():
     import subprocess
     import sys

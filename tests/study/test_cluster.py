@@ -111,6 +111,7 @@ def test_a_killed_scheduler_is_one_error_line_and_a_second_run_resumes(dask, tmp
     assert one.read_bytes() == other.read_bytes()
 
 
+@pytest.mark.deep
 def test_a_missing_scheduler_is_one_error_line(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="needs dask[distributed]")
     monkeypatch.setattr("meshskin.study.sweep.cluster.CONNECT_TIMEOUT", 1.0)

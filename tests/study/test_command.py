@@ -30,6 +30,7 @@ def test_a_study_is_run_and_run_again(study, tmp_path, capsys):
     assert len((tmp_path / "out" / "table.csv").read_text().splitlines()) == 7
 
 
+@pytest.mark.deep
 def test_failed_cases_are_listed_and_the_exit_code_says_so(study, tmp_path, capsys):
     file = study('run.trouble = ["raise"]', 'run = "study_runs:troubled"\nseeds = 3')
     out = str(tmp_path / "out")

@@ -188,6 +188,7 @@ def test_a_first_run_ends_as_soon_as_its_pace_is_known(noisy, monkeypatch):
     assert seen[-1] == 11
 
 
+@pytest.mark.deep
 def test_figures_that_do_not_fit_are_left_out_and_named(noisy_recording, noisy, tmp_path):
     def late(stage, done, total):
         if done == 3:
@@ -308,6 +309,7 @@ def test_a_machine_is_crowded_by_the_less_of_what_tells_it(monkeypatch):
     assert deadline.crowding() == 1.0
 
 
+@pytest.mark.deep
 @pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="needs Linux")
 def test_a_process_that_shares_its_processor_is_crowded():
     """Four at once on one processor: each runs for a quarter of the time."""
@@ -332,6 +334,7 @@ def test_a_crowded_machine_has_taken_longer_until_a_command_begins(monkeypatch):
     assert process_time() - began[1] == pytest.approx(deadline.STARTED, abs=0.05)
 
 
+@pytest.mark.deep
 def test_a_command_begins_with_its_work_however_old_its_process_is():
     """A shell that waits and is replaced by the command, as in a container, keeps its start."""
     code = (

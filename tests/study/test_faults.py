@@ -153,6 +153,7 @@ def test_hanging_workers_die_with_a_killed_parent(tmp_path):
         mark.unlink()
 
 
+@pytest.mark.deep
 @POSIX
 def test_an_interrupted_run_leaves_no_worker_and_no_temporary_file(tmp_path):
     out, marks = tmp_path / "a", tmp_path / "marks"
@@ -165,6 +166,7 @@ def test_an_interrupted_run_leaves_no_worker_and_no_temporary_file(tmp_path):
     assert not list(out.rglob("*.part"))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("trouble", "limits", "error"),
     [
@@ -221,6 +223,7 @@ def test_failed_cases_are_run_again_on_demand_or_with_more_time(out):
     assert runs == [3, 0, 0, 1, 1]
 
 
+@pytest.mark.deep
 @POSIX
 def test_a_case_whose_worker_dies_once_is_tried_again(out, tmp_path):
     (tmp_path / "marks").mkdir()
@@ -229,6 +232,7 @@ def test_a_case_whose_worker_dies_once_is_tried_again(out, tmp_path):
     assert table.column("status").to_pylist() == ["done"] * 4
 
 
+@pytest.mark.deep
 @POSIX
 def test_a_full_disk_is_one_error_line_and_finished_cases_are_kept(tmp_path):
     """The limit on file sizes fails a write as a full disk does, with another number."""
@@ -252,6 +256,7 @@ def test_a_full_disk_is_one_error_line_and_finished_cases_are_kept(tmp_path):
     assert table.equals(study.sweep(tmp_path / "b"))
 
 
+@pytest.mark.deep
 @LINUX
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="mounting needs root")
 def test_a_disk_that_is_really_full(tmp_path):

@@ -21,6 +21,7 @@ def marked(study_folder):
     return len(list(study_folder.iterdir()))
 
 
+@pytest.mark.deep
 def test_the_table_does_not_depend_on_the_workers_bit_for_bit(tmp_path):
     study = ms.Study("s", grid=X, seeds=10, run=study_runs.plain)
     files = []
@@ -63,6 +64,7 @@ def test_a_scene_made_in_python_gives_the_numbers_of_its_file(tmp_path):
     assert rows[0]["status"] == "done"
 
 
+@pytest.mark.deep
 def test_a_second_run_runs_only_the_cases_that_changed(out, tmp_path):
     (tmp_path / "marks").mkdir()
     own = {"run.marks": [str(tmp_path / "marks")], "run.sleep": [0.0]}
@@ -81,6 +83,7 @@ def test_a_second_run_runs_only_the_cases_that_changed(out, tmp_path):
     assert sweep(**{"run.x": [1, 2]}).equals(first), "the others' results are kept, not shown"
 
 
+@pytest.mark.deep
 def test_tables_are_read_by_pandas_polars_and_duckdb(out):
     table = ms.Study("s", grid=X, seeds=3, run=study_runs.plain).sweep(out)
     path = out / "table.parquet"
@@ -169,6 +172,7 @@ def test_a_study_is_a_toml_file(tmp_path):
             ms.Study.load(tmp_path / "study.toml")
 
 
+@pytest.mark.deep
 def test_a_run_function_can_be_in_a_file_next_to_the_study(tmp_path, out):
     (tmp_path / "mine.py").write_text("def run(case):\n    return {'y': 2 * case.own['x']}\n")
     file = tmp_path / "study.toml"

@@ -123,6 +123,7 @@ def test_older_readings_settle_later(small):
     assert found[1][1] < 0.7 * found[0][1]
 
 
+@pytest.mark.deep
 def test_no_gains_near_the_solution_are_better(small, tuned):
     """A grid over gamma, approach speed and rest about the solution: nothing feasible is faster."""
     shooting = SingleShooting(small, Scenario(), tuned.manoeuvres[0])

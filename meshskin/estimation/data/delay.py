@@ -13,17 +13,15 @@ import numpy as np
 from scipy.special import bdtrc
 
 from ...core.arrays import Array, spreads_by_group, sums_by_group
-from .delay_changes import BLOCKS, LAGS, LATE_FRAMES, delay_course
+from .delay_changes import BLOCKS, FLOOR, LAGS, LATE_FRAMES, begins_pass, delay_course
 from .measurements import Measurements
 
-MIN_READINGS, FEW_READINGS, FEW_GAIN = 10, 5, 0.5
-"""Readings that most taxels must have: fewer may spread less at a wrong delay by chance. Of fewer,
-down to the second number, the spread must fall to the part FEW_GAIN. Chosen: two frames late it
-falls to 0.02, in time it rises (test_late_readings_of_which_taxels_have_few)."""
+MIN_READINGS, FEW_READINGS = 10, 5
+"""Readings that most taxels must have: to be crossed again, and to tell a delay at all."""
 LATE_GAIN = 0.98
 """Mean square distance of a taxel's contacts with the readings moved to other frames, relative to
-the present one, below which they are late: 0.94 to 0.96 for one frame at 0.5 mm a frame. In
-studies/foreign_worlds.py, where none is late, it is 0.987 and more."""
+the present one, below which they are late: 0.945 three frames late along a spiral, whose passes
+have one direction (test_late_readings_along_a_spiral_of_which_taxels_have_few)."""
 FILTER_GAIN = 0.9
 """The same of readings without the effect of a low-pass filter, relative to those that are only
 moved, below which there is such a filter."""
@@ -64,7 +62,6 @@ def late_frames(data: Measurements) -> int:
     typical = np.median(data.counts[data.counts > 0]) if data.counts.any() else 0
     if typical < FEW_READINGS:
         return 0
-    least_gain = LATE_GAIN if typical >= MIN_READINGS else FEW_GAIN
     level = np.maximum(data.pressure - data.rest[data.taxel], 0.0)
     before, last = _neighbours(data, level)
 
@@ -87,7 +84,7 @@ def late_frames(data: Measurements) -> int:
     while abs(late) >= LATE_FRAMES and (beyond := compare(late + step)[0]) < found[late]:
         late += step
         found[late] = beyond
-    if found[late] >= least_gain or compare(late)[1] >= CHANCE:
+    if found[late] >= LATE_GAIN or compare(late)[1] >= CHANCE:
         return 0
     parts = _possible_filters(data.taxel, level, before, last)
     filtered = {k: min((compare(k, kept)[0] for kept in parts), default=np.inf) for k in found}
@@ -149,12 +146,13 @@ def _possible_filters(
 
 
 def comparison(moved: Array, present: Array) -> tuple[float, float]:
-    """Median of the spreads `moved` (t,) relative to that of those at `present` (t,), and the
-    probability that so many taxels have a smaller one by chance."""
+    """Geometric mean of the spreads `moved` (t,) relative to those at `present` (t,), each above a
+    floor, and the probability that so many taxels have a smaller one by chance."""
     if not len(present) or np.median(present) == 0.0:
         return np.inf, 1.0
-    better, count = int(np.sum(moved < present)), len(present)
-    return float(np.median(moved) / np.median(present)), float(bdtrc(better - 1, count, 0.5))
+    better, least = int(np.sum(moved < present)), FLOOR * float(np.median(present))
+    ratio = float(np.exp(np.mean(np.log((moved + least) / (present + least)))))
+    return ratio, float(bdtrc(better - 1, len(present), 0.5))
 
 
 def without_delay(data: Measurements) -> Measurements:
@@ -187,17 +185,12 @@ def without_delay(data: Measurements) -> Measurements:
     return replace(moved, delay=steps[0][1], delays=steps)
 
 
-def _begins_pass(taxel: np.ndarray, contact: np.ndarray) -> np.ndarray:
-    """Whether (k,) a reading is the first of a pass over its taxel; by taxel and then contact."""
-    return (np.diff(taxel, prepend=-1) != 0) | (np.diff(contact, prepend=0) > LATE_FRAMES)
-
-
 def _crossed_again(data: Measurements) -> bool:
     """Whether most taxels have MIN_READINGS and are crossed twice: parts of a single pass spread
     less where one is moved onto another."""
     order = np.lexsort((data.contact, data.taxel))
     taxel, contact = data.taxel[order], data.contact[order]
-    begins, touched = _begins_pass(taxel, contact), data.counts > 0
+    begins, touched = begins_pass(taxel, contact), data.counts > 0
     passes = np.bincount(taxel[begins], minlength=len(data.ids))
     often = (data.counts[touched] >= MIN_READINGS) & (passes[touched] > 1)
     return bool(np.mean(often) > 0.5) if len(often) else False
@@ -259,7 +252,7 @@ def remaining_squares(data: Measurements) -> Array:
     order = np.lexsort((data.contact[rows], data.taxel[rows]))
     moved, rows, late = moved[order], rows[order], late[order]
     weight, own, at = data.pressure[rows] ** 2, data.taxel[rows], data.contact[rows]
-    begins = _begins_pass(own, at)
+    begins = begins_pass(own, at)
     number = np.cumsum(begins) - 1
     share = weight / np.maximum(np.bincount(own, weight, n), 1e-300)[own]
     mean = sums_by_group(share[:, None] * moved, own, n)

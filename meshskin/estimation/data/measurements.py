@@ -16,6 +16,7 @@ from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
 from ...scene.belief import Belief
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
+from .headway import headway
 from .patch_shape import alike_contacts, over_patches, patch_shifts, typical_radius, unevenness
 from .resolve_belief import in_range, nominal_patches
 
@@ -158,13 +159,8 @@ class Measurements:
 
     @cached_property
     def headway(self) -> Array:
-        """Unit tangents (m, 3) along which the contacts move; zeros where there is no motion."""
-        if len(self.points) < 2:
-            return np.zeros_like(self.points)
-        ahead = np.gradient(self.points, axis=0)
-        ahead -= np.sum(ahead * self.normals, axis=1, keepdims=True) * self.normals
-        length = np.linalg.norm(ahead, axis=1, keepdims=True)
-        return np.asarray(ahead / np.where(length > 0, length, 1.0))
+        """Tangents (m, 3) along which the contacts move (`headway.headway`)."""
+        return headway(self.points, self.normals, self.time)
 
     @cached_property
     def longest(self) -> Array:

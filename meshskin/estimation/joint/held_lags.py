@@ -1,13 +1,17 @@
-"""Lags of taxels that are read one after another, too small to be estimated, in their covariances.
+"""Lags of readings that are too small to be estimated as a departure: a common one, and those of
+taxels that are read one after another.
 
-A contact that moves on while the channels of a skin are read displaces each taxel by the time of
-its channel. Where a taxel is crossed in one direction only, nothing shows that: those few that are
-crossed in several tell how long a scan takes, and the order of the channels where the others are.
-Lags are a common one and a part that rises with the ids or along the skin, or that each taxel has
-of its own; their size has a prior with a part at zero. The estimate is not moved: the mean squares
-of the lags, given the readings and over all sizes, count in the covariances, by the part by which
-the readings raise the probability of lags. That part is a choice: the average over all models would
-add the prior's lags to each sound recording in which taxels are crossed in one direction.
+A contact that moves on until a taxel is read displaces that taxel. Where taxels are crossed in one
+direction only, hardly anything shows it: a common lag by the curvature of the path, the duration of
+a scan and the order of its channels where taxels are crossed in several directions. The size of the
+lags has a log-uniform prior, or they are zero; the common one and the others are those of a scan
+that begins at the contacts' time.
+
+Under a learned response nothing is known of the clocks. The mean over both models and all sizes is
+what the taxels are moved by, and the variance about it counts in the covariances. Under a contact
+model, and where a common lag is estimated, the taxels stay, and the mean squares count by the part
+by which the readings raise the probability of lags: else the prior's lags would be in each sound
+recording in which taxels are crossed in one direction.
 
 Source: Hoeting, Madigan, Raftery, Volinsky, "Bayesian model averaging: a tutorial", Statistical
 Science 14 (1999).
@@ -31,6 +35,8 @@ TOGETHER = 0.8
 studies/foreign_worlds.py with a scan of 0.06 of a frame 1.04, 0.69 and 1.59 times the error is
 stated with it, 1.04, 0.58 and 1.58 with 0.95, and 0.27, 0.27 and 0.68 without lags (three seeds);
 without a scan all are equal."""
+LAGGING = 0.5
+"""Probability, before the readings, that they lag, under a learned response."""
 SPREADS = np.geomspace(0.01, 1.0, 12)
 """Standard deviations of the lags that are tried, relative to that of channels whose reading takes
 the whole frame: less displaces no taxel by a thousandth of the contacts' distance."""
@@ -46,19 +52,18 @@ orders, in which one with small lags may be ahead by chance, 0.68 of the error i
 world scan_drawn, and 0.84 with it."""
 HELD_LAGS = "taxels that are read one after another, held to first order"
 NAMED = float(2 * np.log(TOGETHER / (1 - TOGETHER))) ** 0.5
-"""Score from which lags are named: they are then as likely as none."""
+"""Score from which lags are named: readings are then four times as likely with them."""
 PRIOR = np.array([3.0, 1.0])
 """Mean squares of the common lag and of the other ones, relative to the variance of the lags: those
 of channels that are read evenly from the contact's time on."""
 
 
 def held_lags(fitted: FittedReadings, drag: float = 0.0) -> SmallEffects:
-    """What lags add to the tangential covariances; the taxels stay.
+    """How far lags displace the taxels, and what they add to the tangential covariances.
 
-    drag: distance, m, of the patches behind the contacts, if it is estimated: the common lag. The
-    size of the others is then that of a scan which begins at the contacts' time.
+    drag: distance, m, of the patches behind the contacts, if it is estimated: the common lag.
     """
-    data, n = fitted.data, len(fitted.points)
+    data, n, learned = fitted.data, len(fitted.points), fitted.system is not None
     steps = np.linalg.norm(np.diff(data.points, axis=0), axis=1)
     unit = float(np.median(steps)) / 12**0.5 if len(steps) else 0.0
     if not unit > 0 or "skew" in data.parameters.nuisance_names:  # each taxel's is estimated
@@ -70,21 +75,24 @@ def held_lags(fitted: FittedReadings, drag: float = 0.0) -> SmallEffects:
     trials = list(_of_a_scan(fitted, late, variances, drag, of_ids - of_ids.mean()))
     if drag:  # else other errors pass for them: an ellipsoid had 1.5 times the error
         trials += _of_a_scan(fitted, late, variances, drag, by_place)
-    if fitted.system is None or drag:  # else errors of the contacts pass for them
+    elif learned:
+        trials += _of_a_scan(fitted, late, variances, drag, np.empty((n, 0)))
+    if drag or not learned:  # else errors of the contacts pass for them
         trials += _of_their_own(alone, late, variances, drag)
-    gain, square = (np.array(part) for part in zip(*trials, strict=True))
+    gain, mean, square = (np.array(part) for part in zip(*trials, strict=True))
     largest = float(gain.max())
     weight = np.exp(gain - largest)
     evidence = largest + float(np.log(weight.mean()))
-    prior, least = (AHEAD, 0.0) if drag < 0 else (1 - TOGETHER, 1 - TOGETHER)
-    # the part by which the readings raise the probability of lags: where they say nothing, none
-    raised = max(float(expit(logit(prior) + evidence)) - least, 0.0) / (1 - least)
+    prior = AHEAD if drag < 0 else LAGGING if learned and not drag else 1 - TOGETHER
+    probability = float(expit(logit(prior) + evidence))
+    if drag > 0 or not learned:  # by what the readings raise it: where they say nothing, none
+        probability = max(probability - prior, 0.0) / (1 - prior)
+    weight *= probability / weight.sum()
+    square = probability * square[gain > largest - ALIKE].max(axis=0) if drag else weight @ square
+    mean = weight @ mean if learned and not drag else np.zeros(n)
     moved = alone.displaced(late)[:, :, 0]
-    along = moved[:, :, None] * moved[:, None]
-    square = square[gain > largest - ALIKE].max(axis=0) if drag else weight / weight.sum() @ square
-    mean = raised * square
-    score = (2 * max(evidence, 0.0)) ** 0.5
-    return SmallEffects(score, np.zeros((n, 2)), mean[:, None, None] * along)
+    within = (square - mean**2)[:, None, None] * moved[:, :, None] * moved[:, None]
+    return SmallEffects((2 * max(evidence, 0.0)) ** 0.5, mean[:, None] * moved, within)
 
 
 def contact_leverages(fitted: FittedReadings) -> Array:
@@ -108,24 +116,25 @@ def of_single_taxels(fitted: FittedReadings) -> FittedReadings:
 
 def _of_a_scan(
     fitted: FittedReadings, late: Array, variances: Array, drag: float, order: Array
-) -> Iterator[tuple[float, Array]]:
+) -> Iterator[tuple[float, Array, Array]]:
     """Of each of the variances, the gain in the log-likelihood by a common lag and one that rises
-    with `order` (n, q), and the mean squares (n,) of their sums; `drag` stands for the first."""
+    with `order` (n, q), and the means (n,) and mean squares (n,) of their sums; `drag` stands for
+    the first. Without an order, the others are as large as those of a scan of the common one."""
+    n, q = order.shape
     rises = order / max(float(np.mean(np.sum(order**2, axis=1))), 1e-300) ** 0.5
-    columns = np.column_stack([np.ones(len(rises)), rises])
-    prior = np.append(PRIOR[0], np.full(rises.shape[1], PRIOR[1]))
-    if drag:
-        columns, prior = rises, prior[1:]
+    columns = rises if drag else np.column_stack([np.ones(n), rises])
+    prior = np.append(PRIOR[:1], np.full(q, PRIOR[1]))[-columns.shape[1] :]
     slope, information = fitted.shared(late * columns[fitted.readings.taxel])
     for variance in variances:
-        gain, mean, covariance = _posterior(slope, information, variance * prior)
-        within = np.einsum("ni,ij,nj->n", columns, covariance, columns)
-        yield gain, (columns @ mean) ** 2 + within
+        gain, lag, covariance = _posterior(slope, information, variance * prior)
+        mean = columns @ lag
+        square = mean**2 + np.einsum("ni,ij,nj->n", columns, covariance, columns)
+        yield gain, mean, square if q else square * (1 + PRIOR[1] / PRIOR[0])
 
 
 def _of_their_own(
     alone: FittedReadings, late: Array, variances: Array, drag: float
-) -> Iterator[tuple[float, Array]]:
+) -> Iterator[tuple[float, Array, Array]]:
     """As `_of_a_scan`, by a common lag and one of each taxel."""
     slope, information = alone.each(late[:, 0])
     information = np.maximum(information, 0.0)
@@ -138,7 +147,7 @@ def _of_their_own(
             more, shared, covariance = _posterior(*common, variance * PRIOR[:1])
             gain, mean = gain + more, mean + shared * narrower
             within = within + covariance[0, 0] * narrower**2
-        yield gain, mean**2 + within
+        yield gain, mean, mean**2 + within
 
 
 def _posterior(slope: Array, information: Array, prior: Array) -> tuple[float, Array, Array]:

@@ -248,7 +248,7 @@ def as_learned(
     positions (n, 3), m: of that calibration."""
     scale = data.unit / response.unit
     estimated = {label.split()[0] for label in unknowns}
-    for name in estimated & {"hysteresis", "creep", *DRIFTS} - set(data.parameters.names):
+    for name in sorted(estimated & {"hysteresis", "creep", *DRIFTS} - set(data.parameters.names)):
         p, more = data.parameters, np.full(SIZES[name], PRIORS[name])
         p = replace(p, names=(*p.names, name), sigma=np.append(p.sigma, more))
         data = replace(data, parameters=p)

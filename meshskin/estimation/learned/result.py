@@ -87,6 +87,13 @@ def learned_result(
             tangential += errors.covariances
             factors.append(f"{name}, to first order")
             placed = placed.relinearized(data.body, -errors.displacements)
+    if fit.good is not False:
+        late = held_lags(effects.fitted(), _value(effects, "drag"))
+        late = late.held() if small[LAGS].displacements.any() else late  # of the same cause
+        departures[HELD_LAGS] = late.score
+        factors += [HELD_LAGS] if late.score > NAMED else []
+        tangential += late.covariances
+        placed = placed.relinearized(data.body, -late.displacements)
     points, rotations = placed.points(), placed.rotations()
     apart, second = np.nan_to_num(rivals.points - points), second_fits(estimator)
     tangential += tangential_square(rotations[:, :, :2], apart) + second.covariances
@@ -147,6 +154,11 @@ def _covariances(effects: RandomEffects) -> tuple[Array, Array]:
     return covariance, shared
 
 
+def _value(effects: RandomEffects, name: str) -> float:
+    """The estimate of a scalar global parameter; 0 if there is none."""
+    return effects.data.parameters.value(name, effects.unknowns.s)
+
+
 def _misfit(fit: GoodnessOfFit) -> float:
     """Factor of the variances by residuals that are larger than the noise."""
     return 1.0 if fit.good is True else max(fit.reduced, 1.0)
@@ -173,12 +185,7 @@ def _tangential(
         factors.append(ALIKE_CONTACTS)
     departures = {**errors.beyond(added, own), **fields.departure}
     if fit.good is not False:
-        value = partial(effects.data.parameters.value, s=effects.unknowns.s)
-        late = held_lags(fitted, value("drag"))
-        tangential = tangential + late.covariances
-        factors += [HELD_LAGS] if late.score > NAMED else []
-        departures[HELD_LAGS] = late.score
-        shifted = shifted_patches(fitted, value("patch_shift"))
+        shifted = shifted_patches(fitted, _value(effects, "patch_shift"))
         tangential = tangential + shifted.covariances
         factors += [SHIFTED] if shifted.score > NAMED else []
     tangential *= _few_readings(effects)[:, None, None]
@@ -308,5 +315,4 @@ def _leaks(effects: RandomEffects) -> Array:
     crosstalk or not."""
     if effects.data.leaks is None:
         return np.zeros((2, 2))
-    share = effects.data.parameters.value("crosstalk", effects.unknowns.s)
-    return leak_covariances(effects.fitted(), share)
+    return leak_covariances(effects.fitted(), _value(effects, "crosstalk"))

@@ -17,8 +17,9 @@ from scipy.special import log_ndtr
 
 from ...core.arrays import Array
 from ..data.measurements import NOMINAL_NOISE
+from .blocks import Errors, all_log_likelihoods
 from .hypotheses import Hypothesis
-from .touches import Errors, Touches
+from .touches import Touches
 
 PRIOR = {"sigma": (NOMINAL_NOISE, 1.5), "tau": (0.1e-3, 1.0), "rho": (0.03, 1.0)}
 """Medians and standard deviations of the logarithms of sigma, relative to the typical peak, of tau,
@@ -93,7 +94,7 @@ def _fit_errors(touches: Touches, states: Mapping[int, Hypothesis], errors: Erro
 
     def cost(x: Array) -> float:
         trial = at(x)
-        likelihood = sum(block.log_likelihood(trial, touches.threshold) for block in blocks)
+        likelihood = float(all_log_likelihoods(blocks, trial, touches.threshold).sum())
         return 0.5 * float(x @ x) - far_silence(trial, touches) - likelihood
 
     x0 = np.log([errors.sigma, errors.tau, errors.rho] / centre) / width

@@ -30,6 +30,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
 from ...core.arrays import Array
+from .blocks import Block, Errors, Stack, all_log_likelihoods, log_likelihoods
 from .hypotheses import (
     CONFIRMED,
     DEAD,
@@ -47,7 +48,7 @@ from .hypotheses import (
     ring,
     unchanged,
 )
-from .touches import Block, Errors, Touches, log_likelihoods
+from .touches import Touches
 
 MIN_ODDS = float(np.log(100.0))
 """ln of the likelihood ratio by which each turn, exchange and death must be excluded before a unit
@@ -175,7 +176,7 @@ def _trial(touches: Touches, unit: int, state: Hypothesis, errors: Errors, limit
     if usual - null >= MISFIT * limit and single:
         parts, log_null = dispersed(state, touches.data.body)
         null_blocks = touches.blocks(unit, parts, errors)
-        each = [b.log_likelihood(errors, threshold) for b in null_blocks]
+        each = all_log_likelihoods(null_blocks, errors, threshold)
         null = alike = float(logsumexp(log_null + each))
     steps = discrete(touches, unit, state)
     if usual - null >= MISFIT * limit:
@@ -183,7 +184,7 @@ def _trial(touches: Touches, unit: int, state: Hypothesis, errors: Errors, limit
             steps += moved(state, touches.data.body, grid())
         steps += regained(state, known.slots is None)
     blocks = touches.blocks(unit, steps, errors)
-    ratio = np.array([b.log_likelihood(errors, threshold) for b in blocks]) - null
+    ratio = all_log_likelihoods(blocks, errors, threshold) - null
     expected = np.zeros(len(state.points))
     np.maximum.at(expected, block.taxel, block.mean)
     prior = log_prior(steps, len(known.units), expected, known.slots is None)
@@ -213,14 +214,16 @@ def _log_chance(
         block = touches.straight(unit, same.hypothesis, errors, levels)
         return block.log_likelihood(errors, touches.threshold)
 
+    several = len(rows) > 1
     return log_chance(
-        mean, c, *weights, evidence, errors, touches.threshold, null if len(rows) > 1 else None
-    )
+        mean, c, *weights, evidence, errors, touches.threshold, null if several else None,
+        None if several else Stack(blocks, errors),
+    )  # fmt: skip
 
 
 def log_chance(
     mean: Array, c: Array, log_null: Array, log_prior: Array, evidence: float, errors: Errors,
-    threshold: float, null: Callable[[Array], float] | None = None,
+    threshold: float, null: Callable[[Array], float] | None = None, stack: Stack | None = None,
 ) -> float:  # fmt: skip
     """ln of the probability of an ln evidence of `evidence` or more, if there is no change.
 
@@ -229,6 +232,7 @@ def log_chance(
     the components; log_prior (h,): ln of the prior probabilities of the changes, whose sum may be
     less than one: changes that are left out have Markov's bound. threshold: readings below it are
     silent. null: ln likelihood of readings (q,) if there is no change, in place of the components'.
+    stack: all of them (p + h) of a single taxel, whose likelihoods take less time.
     """
     rng, weight, first = np.random.default_rng(0), np.exp(log_prior), len(log_null)
     total = float(weight.sum())
@@ -237,7 +241,10 @@ def log_chance(
     for k, change in enumerate(chosen):
         level = rng.multivariate_normal(mean[first + change], c[first + change], method="cholesky")
         level = np.where(level > threshold, level, np.nan)
-        likelihood = log_likelihoods(level, mean, c, errors, threshold)
+        likelihood = (
+            log_likelihoods(level, mean, c, errors, threshold) if stack is None
+            else stack.log_likelihoods(threshold, level)
+        )  # fmt: skip
         without = null(level) if null else logsumexp(likelihood[:first] + log_null)
         drawn = float(logsumexp(likelihood[first:] + log_prior) - without)
         found[k] = np.exp(evidence - drawn) if drawn >= evidence else 0.0
@@ -276,8 +283,8 @@ def is_placed(touches: Touches, unit: int, errors: Errors, state: Hypothesis) ->
     """Whether a move of a unit in `state` by MOVE, in each of eight directions, is excluded."""
     steps = [state, *moved(state, touches.data.body, ring())]
     blocks = touches.blocks(unit, steps, errors)
-    null, *moves = [block.log_likelihood(errors, touches.threshold) for block in blocks]
-    return max(moves) < null - MIN_ODDS
+    null, *moves = all_log_likelihoods(blocks, errors, touches.threshold)
+    return bool(max(moves) < null - MIN_ODDS)
 
 
 def _change(tried: _Trial, errors: Errors, evidence: float) -> Change:

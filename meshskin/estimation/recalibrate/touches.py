@@ -18,11 +18,10 @@ that response.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from ...contact.reading import same_sheet
 from ...core.arrays import Array
@@ -34,6 +33,7 @@ from ..joint.likelihood import MIN_DENOMINATOR, Likelihood
 from ..joint.pressure import disc_means
 from ..joint.readings import Readings
 from ..localization import CalibratedSkin
+from .blocks import Block, Errors
 from .hypotheses import Hypothesis
 from .skin_map import SkinMap
 
@@ -45,105 +45,6 @@ E_STEP = 0.02
 """Step of ln E* in the difference that gives the slope of mu: small against its uncertainty."""
 STEPS = 2
 """Gauss-Newton steps to where the readings place a taxel."""
-LOG_2PI = float(np.log(2 * np.pi))
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Standard deviations of the errors of readings, and the common errors."""
-
-    sigma: float
-    """Of each reading, relative to the typical peak."""
-    tau: float
-    """Of the contact points along each tangent, m."""
-    rho: float
-    """Of each reading, relative to itself."""
-    force: float = 0.0
-    """Of ln force of each contact."""
-    log_modulus: float = 0.0
-    """ln of E* relative to the map's."""
-    log_scale: float = 0.0
-    """ln of the scale of all readings."""
-    common: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
-    """Covariance of the last two."""
-
-
-@dataclass(frozen=True)
-class Block:
-    """The readings of a unit under a hypothesis: q pairs of a contact and a taxel."""
-
-    hypothesis: Hypothesis
-    contact: np.ndarray
-    taxel: np.ndarray
-    """Taxel (q,) of the unit, counted in it."""
-    level: Array
-    """Reading (q,) relative to the typical peak; NaN where silent."""
-    mean: Array
-    """mu (q,)."""
-    slope: Array
-    """A (q, 3), 1/m."""
-    bend: Array
-    """Variance (q,) by the curvature of mu, and by edges of the body."""
-    by_modulus: Array
-    """d mu / d ln E* (q,)."""
-    by_scale: Array
-    """d mu / d ln of the level (q,): mu, but for compression and offset."""
-    log_gain_sigma: Array
-    """Standard deviation (q,) of the taxel's ln gain."""
-    offset_sigma: Array
-    """Standard deviation (q,) of the taxel's offset."""
-
-    @property
-    def read(self) -> np.ndarray:
-        """Whether the pairs (q,) gave a reading."""
-        return np.isfinite(self.level)
-
-    @property
-    def open_slopes(self) -> Array | None:
-        """Derivatives (q, d) of the readings in what the hypothesis leaves open, whitened; None:
-        nothing is."""
-        h = self.hypothesis
-        mine = (self.taxel == h.taxel) | (h.taxel < 0)
-        if h.shift_sigma:
-            return np.asarray(h.shift_sigma * self.slope * mine[:, None])
-        if h.gain_sigma:
-            return np.asarray(h.gain_sigma * (self.by_scale * mine)[:, None])
-        return None
-
-    def covariance(self, errors: Errors) -> Array:
-        """C (q, q) of the readings, silent ones and what the hypothesis leaves open included."""
-        a = self.slope
-        same_contact = self.contact[:, None] == self.contact
-        same_taxel = self.taxel[:, None] == self.taxel
-        out = (a @ a.T) * errors.tau**2 * same_contact
-        places = self.hypothesis.covariance[self.taxel]
-        out += np.einsum("qi,qij,pj->qp", a, places, a) * same_taxel
-        by = np.stack([self.by_modulus, self.by_scale], axis=1)
-        out += by @ np.array(errors.common) @ by.T
-        load = errors.force * (self.by_scale - self.by_modulus)  # the patch depends on F / E*
-        gain, offset = self.log_gain_sigma * self.by_scale, self.offset_sigma
-        out += np.outer(load, load) * same_contact
-        out += (np.outer(gain, gain) + np.outer(offset, offset)) * same_taxel
-        if (open_ := self.open_slopes) is not None:
-            out += open_ @ open_.T
-        out[np.diag_indices(len(a))] += errors.sigma**2 + (errors.rho * self.mean) ** 2 + self.bend
-        return np.asarray(out)
-
-    def displacements(self, errors: Errors) -> tuple[Array, Array]:
-        """Where the taxels (k, 3), m, most probably are off their points by the readings, and the
-        covariances (k, 3, 3), m^2, that these leave."""
-        read, places = np.flatnonzero(self.read), self.hypothesis.covariance
-        own = self.taxel[read, None] == np.arange(len(places))
-        by = np.einsum("kij,qj,qk->qki", places, self.slope[read], own).reshape(len(read), -1)
-        solved = np.linalg.solve(self.covariance(errors)[np.ix_(read, read)], by)
-        shift = (self.level - self.mean)[read] @ solved
-        taken = np.einsum("qki,qkj->kij", *(x.reshape(-1, *places.shape[:2]) for x in (by, solved)))
-        return shift.reshape(-1, 3), places - taken
-
-    def log_likelihood(self, errors: Errors, threshold: float) -> float:
-        """ln of the likelihood of the readings, relative to that of silent taxels far away."""
-        c = self.covariance(errors)[None]
-        return float(log_likelihoods(self.level, self.mean[None], c, errors, threshold)[0])
 
 
 class Touches:
@@ -287,15 +188,33 @@ class Touches:
         contacts = self._contacts.get(log_modulus)
         if contacts is None:
             contacts = self._contacts[log_modulus] = self._contacts_at(log_modulus)
+        found = np.zeros(len(contact))
+        rows = np.flatnonzero(self._is_pressed(offset, contact, contacts))
+        offset, contact = offset[rows], contact[rows]
         if (skin := self.skin) is None:
             mean = disc_means(self.data.model.name, offset, contact, contacts, self.data.disc)[0]
             level = np.maximum(mean, 0.0) * contacts.patches.peak[contact]
         else:  # before gain, compression and offset
+            given = replace(skin.data, contact_errors=contacts.points)  # no derivatives in them
+            likelihood, points = Likelihood(given, Readings.none()), contacts.points[contact]
             nuisance = np.zeros((len(contact), skin.nuisance.shape[1]))
-            likelihood, points = Likelihood(skin.data, Readings.none()), contacts.points[contact]
+            group = np.broadcast_to(group, len(found))[rows]
             mean = likelihood.predict(contact, points + offset, nuisance, contacts, group)[0]
             level = np.maximum(mean * skin.data.sigma, 0.0)
-        return np.asarray(level / self.unit)
+        found[rows] = level / self.unit
+        return found
+
+    def _is_pressed(self, offset: Array, contact: np.ndarray, contacts: Contacts) -> np.ndarray:
+        """Whether the disc of a taxel `offset` (q, 3), m, meets the patch: levels are zero beyond,
+        but for drifts."""
+        if self.skin is not None and "offset_drift" in self.skin.data.parameters.columns:
+            return np.ones(len(offset), dtype=bool)
+        axes = [np.maximum(x.patches.first, x.patches.second) for x in contacts.each]
+        longest = np.max(axes, axis=0)
+        extent = 1.0 if self.skin is None else self.skin.data.profile_extent
+        reach = np.maximum(extent * longest, longest + self.data.disc)[contact]
+        along = np.einsum("qi,qi->q", offset, contacts.normals[contact])
+        return np.asarray(np.einsum("qi,qi->q", offset, offset) - along**2 <= reach**2)
 
     def _contacts_at(self, log_modulus: float) -> Contacts:
         """The contacts under E* times exp(log_modulus)."""
@@ -308,27 +227,5 @@ class Touches:
         s = self.skin.s.copy()
         s[self.skin.data.parameters.columns["modulus"]] += log_modulus
         each = LinearizedContacts(self.skin.data, s).at(s).each
-        first, *others = (replace(x, compression=0.0) for x in each)
+        first, *others = (replace(x, compression=0.0, by_load=(), moves=None) for x in each)
         return replace(first, others=tuple(others))
-
-
-def log_likelihoods(level: Array, mean: Array, c: Array, errors: Errors, threshold: float) -> Array:
-    """ln (h,) of the likelihoods of readings (q,), NaN where silent, with the means (h, q) and the
-    covariances (h, q, q), relative to that of silent taxels far away."""
-    read = np.isfinite(level)
-    own, silent = np.flatnonzero(read), np.flatnonzero(~read)
-    far = float(log_ndtr(threshold / errors.sigma))
-    total, middle = np.zeros(len(mean)), mean[:, silent]
-    variance = np.diagonal(c, axis1=1, axis2=2)[:, silent]
-    if len(own):
-        inverse = np.linalg.inv(c[:, own[:, None], own])
-        r = level[own] - mean[:, own]
-        scaled = np.einsum("hij,hj->hi", inverse, r)
-        total += 0.5 * (np.linalg.slogdet(inverse)[1] - np.einsum("hi,hi->h", r, scaled))
-        total -= len(own) * (0.5 * LOG_2PI + far)
-        if len(silent):
-            across = c[:, silent[:, None], own]
-            middle = middle + np.einsum("hso,ho->hs", across, scaled)
-            variance = variance - np.einsum("hso,hso->hs", across @ inverse, across)
-    below = (threshold - middle) / np.sqrt(np.maximum(variance, errors.sigma**2))
-    return total + np.sum(log_ndtr(below) - far, axis=1)

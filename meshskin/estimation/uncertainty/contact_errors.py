@@ -15,6 +15,8 @@ import numpy as np
 
 from ...core import se3
 from ...core.arrays import Array
+from ...core.content_cache import cached_on_argument
+from ...geometry.surface.closest_point import Closest
 from ..data import delay
 from ..data.measurements import Measurements
 from ..data.registration import MIN_SCATTER, cells, slopes
@@ -69,9 +71,9 @@ def systematic_covariance(
     m, and rotations (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators; jump (3,), m:
     displacement of the contacts in a part of the recording.
     """
-    points, middles = nearer_points(data, unknowns), starts(data)
-    hit, tangents = data.body.closest(points), rotations[:, :, :2]
-    sideways = motion(data, points, hit.distance, hit.normal).squares(middles)
+    points, middles, tangents = nearer_points(data, unknowns), starts(data), rotations[:, :, :2]
+    hit, moved_points = on_surface(data, points)
+    sideways = moved_points.squares(middles)
     sideways += delay.remaining_squares(data)
     swapped = swapped_axes.nearer_axes(data, points).displacements(middles)
     moves = [swapped]
@@ -283,10 +285,28 @@ def motion(data: Measurements, points: Array, distance: Array, normals: Array) -
     return none
 
 
+def on_surface(data: Measurements, points: Array) -> tuple[Closest, Motion]:
+    """The believed surface below contact points (m, 3), m, and their motion as of `motion`."""
+    return _recorded_on_surface(data) if points is data.points else _on_surface(data, points)
+
+
+@cached_on_argument
+def _recorded_on_surface(data: Measurements) -> tuple[Closest, Motion]:
+    """`on_surface` of the points as recorded, which every method asks for."""
+    return _on_surface(data, data.points)
+
+
+def _on_surface(data: Measurements, points: Array) -> tuple[Closest, Motion]:
+    hit = data.body.closest(points)
+    return hit, motion(data, points, hit.distance, hit.normal)
+
+
 def nearer_points(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> Array:
     """The contact points (m, 3), m, moved by the estimated offsets where these bring them nearer to
     the surface: readings do not show an offset along the normals, which then is none."""
     points, moved = data.points, data.points + offsets(data, unknowns)
+    if np.array_equal(points, moved):
+        return points
     before, after = (np.sum(data.body.closest(p).distance ** 2) for p in (points, moved))
     return moved if after < before else points
 

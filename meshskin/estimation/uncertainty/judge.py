@@ -27,7 +27,7 @@ from ..data.patch_shape import MAX_EDGES
 from ..joint.departures import MIN_SCORE
 from ..learned.contact_correlations import MAX_CORRELATION
 from . import mounted_anew, recorded_normals, swapped_axes, verdict, weighted_means
-from .contact_errors import SURFACE_DEPTHS, displacement, motion, nearer_points
+from .contact_errors import SURFACE_DEPTHS, displacement, nearer_points, on_surface
 from .goodness_of_fit import STRONG, undeclared
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
 
@@ -260,10 +260,9 @@ def _priors(data: Measurements, calibration: Calibration) -> list[Finding]:
 
 def _surface(data: Measurements, points: Array) -> list[Finding]:
     """Distances of contact points (m, 3), m, from the believed surface."""
-    hit = data.body.closest(points)
+    hit, best = on_surface(data, points)
     distance, median = hit.distance, float(np.median(hit.distance))
     typical, move = float(np.median(np.abs(distance))), displacement(distance, hit.normal)
-    best = motion(data, hit.point + distance[:, None] * hit.normal, distance, hit.normal)
     depth = data.indentation
     moved = float(np.sqrt(np.mean(np.trace(best.squares(data.points), axis1=1, axis2=2))))
     size = max(typical, float(np.linalg.norm(move)), moved)

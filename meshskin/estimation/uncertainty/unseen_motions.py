@@ -12,8 +12,9 @@ import numpy as np
 
 from ...core import se3
 from ...core.arrays import Array
+from ...core.content_cache import cached_on_argument
 from ..data.measurements import Measurements
-from .contact_errors import SHIFT_SIGMAS, displacement, effective_variance
+from .contact_errors import SHIFT_SIGMAS, displacement, effective_variance, on_surface
 
 LARGE = 0.3e-3
 """Motion of the contact points, m rms, that is named if it is within SHIFT_SIGMAS of chance: a
@@ -28,13 +29,14 @@ MEET = 0.02
 of a ball are within 1e-3 (test_a_ball_turns_about_its_middle)."""
 
 
+@cached_on_argument
 def unseen_motions(data: Measurements) -> tuple[str, ...]:
     """The motions of all contact points that the distances from the believed surface do not show,
     in words, and whether these can show anything; none where motions are estimated."""
     names = data.parameters.names
     if data.parameters.motion is not None or "body_offset" in names or len(data.points) < 6:
         return ()
-    hit = data.body.closest(data.points)
+    hit, _ = on_surface(data, data.points)
     left = hit.distance - hit.normal @ displacement(hit.distance, hit.normal)
     variance = effective_variance(left, data.points)
     found, motions = [], _motions(data.points, hit.normal, variance)

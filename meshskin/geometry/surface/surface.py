@@ -117,9 +117,14 @@ class Surface:
         return np.stack(ends, axis=1)
 
     @cached_property
+    def pieces(self) -> Index:
+        """The connected piece of the mesh, from 0, to which each face belongs (m,)."""
+        return face_components(self.neighbours)
+
+    @cached_property
     def covered(self) -> bool:
         """Whether a part of the mesh may cover another one."""
-        parted = bool(len(self._crossed) or face_components(self.neighbours).any())
+        parted = bool(len(self._crossed) or self.pieces.any())
         return parted and self._inside_outside.covers
 
     def buried(self, at: Closest) -> NDArray[np.bool_]:
@@ -317,15 +322,10 @@ class Facets:
     """Flat faces of a triangle mesh (an object with `.vertices` (n, 3) m, `.faces` (m, 3))."""
 
     def __init__(self, mesh: Any) -> None:
-        vertices: Array = np.array(mesh.vertices, dtype=float)
-        faces = np.array(mesh.faces, dtype=np.intp)
-        self._corners, self._normals = vertices[faces], face_normals(vertices, faces)
+        flat = np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=np.intp)
+        self._corners, self._normals = flat[0][flat[1]], face_normals(*flat)
         built = compiled_search.library()
-        self._search = (
-            ReferenceFlat(vertices, faces)
-            if built is None
-            else CompiledFlat(vertices, faces, built)
-        )
+        self._search = ReferenceFlat(*flat) if built is None else CompiledFlat(*flat, built)
 
     def closest(self, points: Array) -> tuple[Array, Array]:
         """The closest points (n, 3), m, to points (n, 3), m, and the normals (n, 3) there, zero on

@@ -69,7 +69,7 @@ def test_coarse_readings_of_a_robot_that_holds_still_all_count(seed):
     ("noise", "value"),
     [(None, 38), (None, np.nan), (0.01, -1.0)]
     + [
-        pytest.param(noise, value, marks=pytest.mark.slow)
+        pytest.param(noise, value, marks=pytest.mark.deep)
         for noise, kept in (
             (None, (330, 1e5, 1e95, np.inf, -1.0)),
             (0.01, (38, 330, 1e5, 1e95, np.inf, np.nan)),
@@ -89,6 +89,7 @@ def test_one_corrupt_reading_costs_itself(world, recording, sound, noise, value)
     assert found.readings[k] == sound.readings[k] - 1
 
 
+@pytest.mark.deep
 def test_a_stretch_of_one_value_over_the_skin_is_left_out(world, recording, sound):
     belief, sound = world.belief(None, 0.05), sound[None]
     m, k = len(recording.time), int(belief.taxel_ids[3])
@@ -134,10 +135,12 @@ def middle_first(world, recording):
     return np.concatenate([np.tile(np.argsort(apart)[:60], 50), np.arange(len(apart))])
 
 
+@pytest.mark.deep
 def test_a_level_at_rest_is_not_stuck(world, recording):
     assert not len(corrupt(world, counted(world, recording, middle_first(world, recording))))
 
 
+@pytest.mark.deep
 def test_a_stretch_of_one_value_is_found_beside_a_level_at_rest(world, recording):
     def stuck(counts):
         counts[-400:-100, 3] = 50
@@ -172,6 +175,7 @@ def with_readings(recording, contact, taxel, pressure):
     return replace(recording, readings=table)
 
 
+@pytest.mark.deep
 def test_spikes_cost_themselves(world, recording):
     """Interference: 1 of 200 readings is of a taxel that nothing touches."""
     rng, belief = np.random.default_rng(2), world.belief(None, 0.05)
@@ -227,6 +231,7 @@ def test_sparse_contacts_confirm_nothing():
     assert not spikes(np.append(pressure, 1.0), taxel, contact, points, 0.02, 6e-3).any()
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("noise", [pytest.param(0.01, marks=pytest.mark.slow), None])
 def test_frames_that_were_written_twice_count_once(world, recording, sound, noise):
     contacts, readings = recording.contacts, recording.readings

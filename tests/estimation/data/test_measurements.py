@@ -6,7 +6,10 @@ import re
 import numpy as np
 import pyarrow as pa
 import pytest
+import trimesh
 
+import meshskin as ms
+from meshskin import Body, Cap, Indenter, Loop, Readout, Scene, Skin, effects, simulate
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.data import delay, unit_checks
 from meshskin.estimation.data.gather import gather
@@ -183,10 +186,46 @@ def test_late_readings_of_which_taxels_have_few(world):
         assert (found.delay, found.delays) == (frames, ())
 
 
+def test_late_readings_along_a_spiral_of_which_taxels_have_few(noisy):
+    """Passes over a taxel have one direction: moved along it, their contacts spread by 5 % less."""
+    turns = np.sqrt(np.linspace(0, 1, 750)) * 2 * np.pi * 12
+    way = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(len(turns))]) * turns[:, None]
+    axes = np.linalg.svd(noisy.skin.positions - noisy.skin.positions.mean(axis=0))[2]
+    centre = noisy.skin.positions.mean(axis=0)
+    points = noisy.body.closest(centre + 2.5e-3 / (2 * np.pi) * way @ axes).point
+    log = ms.press(noisy, points, force=0.3, seed=0)
+    for frames in (0, 3):
+        row = log.reading_contact + frames
+        kept = row < len(points)
+        readings = log.readings.filter(pa.array(kept))
+        readings = readings.set_column(0, "time", pa.array(log.time[row[kept]]))
+        found = gather(Recording(log.contacts, readings, {}), noisy.belief())
+        assert 5 <= np.median(found.counts[found.counts > 0]) < 10
+        assert found.delay == frames
+
+
 def test_a_clock_that_runs_faster(world):
     """By five frames in the course of the recording."""
     found = gather(recorded_late(world, lambda part: np.rint(5 * part).astype(int)), world.belief())
     assert [frames for _, frames in found.delays] == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("direction", [(1, 0, 0), (1, 0.3, 0), (0, 0, 1)])
+def test_passes_that_end_at_edges_are_not_late(direction):
+    """Of a simulated box: few passes over a taxel spread less, by chance, with a wrong delay."""
+    body = Body.from_mesh(trimesh.creation.box([0.06, 0.04, 0.03]))
+    skin = Skin.cover(body, spacing=5e-3, count=40, region=Cap(direction))
+    scene = Scene(
+        body=body,
+        skin=skin,
+        indenter=Indenter.sphere(5e-3),
+        effects=[effects.find("gaussian_noise")(sigma_relative=0.01)],
+        readout=Readout(threshold_relative=0.05),
+        loop=Loop(mode="quasi_static"),
+    )
+    found = gather(simulate(scene, seed=1), scene.belief())
+    assert (found.delay, found.delays) == (0, ())
 
 
 def test_patches_that_are_dragged_along_are_not_late(world):
@@ -236,3 +275,27 @@ def test_contacts_moved_into_a_hollow_keep_the_curvatures_that_they_have(noisy, 
     np.testing.assert_array_equal(moved.curvature[::2], data.curvature[::2])
     np.testing.assert_array_equal(moved.curvature[1::2], tight[1::2])
     assert np.isfinite(moved.patches.first).all()
+
+
+def test_contacts_at_random_places_move_to_the_next_one_at_their_speed(world):
+    """Twice as fast to a contact half of a frame later; those of a path have no speed."""
+    data = gather(world.record(), world.belief())
+    assert np.linalg.norm(data.headway, axis=1).max() < 1 + 1e-9
+    order = np.random.default_rng(0).permutation(len(data.points))
+    time = data.time.copy()
+    time[1::2] = time[:-1:2] + (time[1] - time[0]) / 2
+    points, normals = data.points[order], data.normals[order]
+    headway = dataclasses.replace(data, points=points, normals=normals, time=time).headway
+    way = np.diff(points, axis=0)
+    way -= np.sum(way * normals[:-1], axis=1, keepdims=True) * normals[:-1]
+    speed = way / np.diff(time)[:, None]
+    ratio = np.linalg.norm(headway[:-1], axis=1) / np.linalg.norm(speed, axis=1)
+    np.testing.assert_allclose(ratio, ratio[0])
+    np.testing.assert_allclose(headway[:-1], ratio[0] * speed, atol=1e-12)
+    assert not headway[-1].any()
+    # by the golden angle the ways are a turn and a shrinkage of all places: no reading shows these
+    turns = np.pi * (1 + 5**0.5) * np.arange(len(data.points))
+    flat = np.sqrt(np.arange(len(turns)))[:, None] * np.column_stack([np.cos(turns), np.sin(turns)])
+    normals = np.tile([0.0, 0.0, 1.0], (len(turns), 1))
+    spiral = dataclasses.replace(data, points=1e-3 * flat @ np.eye(2, 3), normals=normals)
+    np.testing.assert_allclose(np.linalg.norm(spiral.headway[1:], axis=1), 1)

@@ -40,12 +40,13 @@ def test_the_first_contact_model_that_holds(world, body, thickness, name):
     assert found.force_reference == pytest.approx(np.median(seen.force))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("body", "thickness", "name"),
     [
         (ms.Body.sphere(0.1), None, "hertz"),
-        pytest.param(ms.Body.ellipsoid((0.1, 0.04, 0.1)), None, "elliptic", marks=pytest.mark.slow),
-        pytest.param(ms.Body.sphere(0.1), 4e-3, "layered", marks=pytest.mark.slow),
+        pytest.param(ms.Body.ellipsoid((0.1, 0.04, 0.1)), None, "elliptic", marks=pytest.mark.deep),
+        pytest.param(ms.Body.sphere(0.1), 4e-3, "layered", marks=pytest.mark.deep),
     ],
 )
 def test_a_calibration_takes_the_resolved_belief(world, body, thickness, name):
@@ -122,7 +123,7 @@ def test_the_response_is_learned_where_no_contact_model_holds(soft):
         ms.calibrate(recording, told, method="trilateration")
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_map_whose_response_was_learned_is_confirmed(soft):
     _, recording, told, found = soft
     assert (ms.recalibrate(found, recording, told).states == "confirmed").all()

@@ -43,7 +43,7 @@ def stretches(rng, contact, taxel):
     return (contact >= begin) & (contact < begin + CONTACTS // 12)
 
 
-@pytest.mark.parametrize("lost", [single, pytest.param(stretches, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("lost", [single, pytest.param(stretches, marks=pytest.mark.deep)])
 def test_lost_readings_are_no_silences(sound, whole, lost):
     found = calibrate(kept(sound, lost), BELIEF)
     off, stated = errors(found)

@@ -98,6 +98,7 @@ def test_derivatives_of_the_semi_axes(data):
     np.testing.assert_allclose(area, round_.patches.first * round_.patches.second, rtol=1e-12)
 
 
+@pytest.mark.deep
 def test_the_ratio_of_the_semi_axes_is_learned(data):
     found = ms.calibrate(recording(), belief())
     model = float(np.median(np.abs(np.log(data.patches.first / data.patches.second))))
@@ -110,7 +111,7 @@ def test_the_ratio_of_the_semi_axes_is_learned(data):
     assert np.mean(np.einsum("ni,nij,nj->n", off, inverse, off)) < 2 + 3 * 2 / len(TRUTH) ** 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_low_pass_filter_is_estimated_and_is_no_delay(data):
     made = recording(kept=0.5)
     assert gather(made, belief()).delay == 0
@@ -133,7 +134,7 @@ def late(made, frames):
     )
 
 
-@pytest.mark.parametrize("frames", [1, pytest.param(2, marks=pytest.mark.slow), 5])
+@pytest.mark.parametrize("frames", [1, pytest.param(2, marks=pytest.mark.deep), 5])
 def test_a_delay_is_no_low_pass_filter(frames):
     """What rises from frame to frame is a smaller part of a patch, which comes earlier."""
     assert gather(late(recording(), frames), belief()).delay == frames
@@ -141,7 +142,7 @@ def test_a_delay_is_no_low_pass_filter(frames):
 
 @pytest.mark.parametrize(
     ("kept", "step"),
-    [(0.5, 2e-3), pytest.param(0.7, 0.75e-3, marks=pytest.mark.slow), (0.9, 1.5e-3)],
+    [(0.5, 2e-3), pytest.param(0.7, 0.75e-3, marks=pytest.mark.deep), (0.9, 1.5e-3)],
 )
 def test_the_lag_of_a_low_pass_filter_is_no_delay(kept, step):
     assert gather(recording(line=2e-3, step=step, kept=kept), belief()).delay == 0

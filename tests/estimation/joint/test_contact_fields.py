@@ -88,7 +88,7 @@ def test_a_displacement_of_all_contacts_alike_does_not_show():
     assert contact_fields(readings).score < LEAST_SCORE
 
 
-@pytest.mark.parametrize("alike", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("alike", [pytest.param(False, marks=pytest.mark.deep), True])
 def test_contact_points_that_are_alike_wrong_are_a_named_doubt(alike):
     """Points 0.06 mm off along the meridians, by waves of 45 mm: the taxels are, too."""
     points, *rest = world()

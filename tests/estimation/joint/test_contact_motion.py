@@ -49,7 +49,7 @@ def test_the_indenter_offset_is_a_special_case(world, turned):
     assert not {label for label in found.unknowns if "contact_motion" in label}
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_mean_and_a_root_are_the_same_unknowns(world, turned):
     """Whitened by a full covariance about another mean, with the same prior, it is the same."""
     recording, headings = turned

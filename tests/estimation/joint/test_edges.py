@@ -119,6 +119,7 @@ def test_uneven_contacts_are_those_over_an_edge(belief):
     assert data.uneven[away > 12.0].max() < 0.1
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_taxels_beside_an_edge_are_where_their_sigma_says(belief, seed):
     found = ms.calibrate(recording(seed), belief)
@@ -130,7 +131,7 @@ def test_taxels_beside_an_edge_are_where_their_sigma_says(belief, seed):
 
 
 @pytest.mark.parametrize(
-    "contact", ["auto", *(pytest.param(c, marks=pytest.mark.slow) for c in ("elliptic", "layered"))]
+    "contact", ["auto", *(pytest.param(c, marks=pytest.mark.deep) for c in ("elliptic", "layered"))]
 )
 def test_taxels_beside_an_edge_under_a_contact_model(belief, contact):
     """None was left out of the estimates that were 18 standard deviations off without a deviation
@@ -148,7 +149,7 @@ def test_taxels_beside_an_edge_under_a_contact_model(belief, contact):
 
 @pytest.mark.parametrize(
     "method",
-    ["trilateration", "posegraph", pytest.param("posegraph_isotropic", marks=pytest.mark.slow)],
+    ["trilateration", "posegraph", pytest.param("posegraph_isotropic", marks=pytest.mark.deep)],
 )
 def test_circles_beside_an_edge(belief, method):
     """Residuals of contacts off the edge do not scale the deviations of those over it: the pose
@@ -233,7 +234,7 @@ def test_contacts_mostly_over_an_edge_test_no_contact_model(belief):
     assert chosen.response is not None
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("reference", [None, 0.5])
 def test_the_online_estimate_weighs_contacts_over_edges_as_the_batch_estimate(belief, reference):
     believed = contact_model(belief, "elliptic").with_(
@@ -249,7 +250,7 @@ def test_the_online_estimate_weighs_contacts_over_edges_as_the_batch_estimate(be
     assert apart[both].max() < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("method", ["joint", "trilateration"])
 def test_many_contacts_over_an_edge_do_not_average_the_error_of_the_model(belief, method):
     """Taken as independent, these errors had standard deviations of 0.5 and 0.3 of their size."""
@@ -296,7 +297,7 @@ def rippled():
     return scene, ms.simulate(scene, seed=1)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_readings_over_edges_do_not_make_others_outlying(rippled):
     """Residuals of the readings over the ripples are small beside the deviation that these are
     given."""
@@ -306,7 +307,7 @@ def test_readings_over_edges_do_not_make_others_outlying(rippled):
     assert found.fit.noise == pytest.approx(scene.belief().noise_sigma, rel=0.15)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_edges_that_cause_no_misfit_cost_nothing(rippled):
     """Weighed by the heights there, the error was 1.51 times the bound."""
     scene, recorded = rippled

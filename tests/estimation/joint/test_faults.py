@@ -40,12 +40,13 @@ def test_a_sound_recording_has_no_faults_and_fits(clean):
     assert "fits" in found.fit.words
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("share", "noise"),
     [
         (0.2, 0.01),
         *(
-            pytest.param(*k, marks=pytest.mark.slow)
+            pytest.param(*k, marks=pytest.mark.deep)
             for k in ((0.02, None), (0.02, 0.01), (0.2, None))
         ),
     ],
@@ -179,6 +180,7 @@ def test_drifting_taxels_with_most_readings_are_the_faulty_ones(world, clean):
     assert others(position_errors(found, world.skin), warm, reference) < 1.05
 
 
+@pytest.mark.deep
 def test_two_taxels_that_exchange_their_ids(world, clean, change, tmp_path):
     recording, belief, reference, _ = clean
     taxel, sometimes = recording.reading_taxel.copy(), recording.reading_contact % 10 > 6
@@ -198,6 +200,7 @@ def test_two_taxels_that_exchange_their_ids(world, clean, change, tmp_path):
     assert "swapped with" in (tmp_path / "c.csv").read_text()
 
 
+@pytest.mark.deep
 def test_a_taxel_that_drifts(world, clean, change):
     recording, belief, reference, _ = clean
     drift = 0.2 * world.peak_reference * recording.reading_contact / len(recording.time)
@@ -207,6 +210,7 @@ def test_a_taxel_that_drifts(world, clean, change):
     assert others(position_errors(found, world.skin), [11], reference) < 1.05
 
 
+@pytest.mark.deep
 def test_a_wrong_model_gives_no_faults(world, clean):
     found = calibrate(clean[0], world.belief(0.01, 0.05, young=0.8 * world.young, unknown=()))
     assert not found.fit.good
@@ -257,6 +261,7 @@ def test_mean_log_likelihood_of_a_mixture():
     assert got == pytest.approx(want, rel=1e-12)
 
 
+@pytest.mark.deep
 def test_more_outlying_readings_than_plausible_are_a_misfit(world, monkeypatch):
     """What is left must explain what was heard better than a misfit does."""
     recording = world.record(0.01, 0.05)
@@ -289,6 +294,7 @@ def test_readings_just_beyond_the_noise_are_outlying(world, clean, change):
     assert position_errors(found, world.skin)[18] < 4 * found.position_sigma[18]
 
 
+@pytest.mark.deep
 def test_no_more_than_a_third_of_the_readings_is_called_outlying(world, change):
     """The median breaks down at one half; before, outliers are judged by most residuals' scale."""
     world = type(world)(extent=10e-3)
@@ -387,7 +393,7 @@ def far_side():
     return scene, ms.simulate(scene, seed=1)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("noise", ["known", "unknown"])
 def test_noise_in_contacts_on_the_far_side_is_no_fault(far_side, noise):
     scene, recording = far_side

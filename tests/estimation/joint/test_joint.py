@@ -48,6 +48,7 @@ def many(world, seeds, sigma=0.01):
     return np.array(ratio), np.array(normalized)
 
 
+@pytest.mark.deep
 def test_reaches_the_bound_with_consistent_covariance(world):
     seeds = 6
     ratio, normalized = many(world, seeds)

@@ -102,6 +102,7 @@ def on_a_capsule():
     )  # fmt: skip
 
 
+@pytest.mark.deep
 def test_contacts_that_drift_by_1_mm_on_the_surface():
     """Each taxel is touched within a short time and moves with its contacts, which lie on the
     surface: neither residuals nor distances show it, the response misfits by 1 %."""
@@ -119,7 +120,7 @@ def test_contacts_that_drift_by_1_mm_on_the_surface():
     assert 0.8 < stated**0.5 < 1.6
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_contacts_that_are_displaced_for_some_time_only():
     """By 2 mm along the surface from 33 % to 63 %, and back: taxels that were touched in both parts
     fit one, and taxels that were touched then have no outlying reading and are 2 mm off."""
@@ -140,7 +141,7 @@ def test_contacts_that_are_displaced_for_some_time_only():
     assert 1.0 < stated**0.5 < 2.5
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("contact", ["auto", "elliptic"])
 def test_a_jump_that_outlying_readings_hide_is_named_and_counted(contact):
     """Contacts of the later half 1 mm along a capsule: the few taxels that are touched before and

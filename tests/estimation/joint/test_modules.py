@@ -50,6 +50,7 @@ def spin_errors(tiled, found):
     return se3.log_so3(turned)[:, 2]
 
 
+@pytest.mark.deep
 def test_modules_show_all_six_degrees_of_freedom(tiled, clean):
     recording, found = clean
     assert found.observed.all()
@@ -93,6 +94,7 @@ def test_a_dead_taxel_is_placed_and_named(tiled, clean, change):
     assert sum(fault != "" for fault in found.faults) == 1
 
 
+@pytest.mark.deep
 def test_a_dead_taxel_among_taxels_of_different_gain_is_named(tiled, clean, change):
     recording = clean[0]
     gain = np.exp(0.1 * np.random.default_rng(3).normal(size=70))

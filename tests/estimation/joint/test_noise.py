@@ -45,7 +45,7 @@ def test_the_estimate_names_the_noise(low):
     assert "neighbouring contacts" in words[0]
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.deep) for k in (1, 2))])
 def test_positions_and_deviations_are_those_of_a_known_noise(world, low, seed):
     recording, unknown = low(seed)
     known = calibrate(recording, world.belief(NOISE, NOISE))
@@ -59,6 +59,7 @@ def test_positions_and_deviations_are_those_of_a_known_noise(world, low, seed):
     assert unknown.verdict.level == "PASS"
 
 
+@pytest.mark.deep
 def test_untouched_taxels_that_read_noise_are_not_placed(world, low):
     """Contacts over half of the skin only: the taxels of the other half read noise."""
     from meshskin.recording.recording import Recording

@@ -73,6 +73,7 @@ def process(rng, mirrored):
     return errors
 
 
+@pytest.mark.deep
 def test_independent_errors_have_no_score():
     scores = [shared_errors(fitted(np.random.default_rng(k))[0]).score for k in range(8)]
     assert np.abs(np.mean(scores)) < 1.5  # the largest of six
@@ -92,6 +93,7 @@ def test_the_score_does_not_depend_on_the_scale_of_the_noise():
     assert one == pytest.approx(ten, abs=1e-6)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("kind", "where"),
     [("time", "in time"), pytest.param("odd", "in place", marks=pytest.mark.slow)],

@@ -59,6 +59,7 @@ def test_a_taxel_touched_along_a_line_has_a_rival_at_its_mirror_image(line):
     assert "second position" in calibration.faults[far]
 
 
+@pytest.mark.deep
 def test_the_likelier_of_two_optima_is_the_estimate(line):
     """The odds are the difference of the costs at both optima, from whichever it starts."""
     scene, calibration, far = line
@@ -88,6 +89,7 @@ def test_no_taxel_is_confidently_wrong(line):
     assert not np.any((error > 0.3e-3) & (error > 5 * calibration.position_sigma))
 
 
+@pytest.mark.deep
 def test_taxels_among_their_contacts_have_no_rivals(noisy, noisy_recording):
     calibration = ms.calibrate(noisy_recording, noisy.belief())
     assert not np.isfinite(calibration.rivals).any()
@@ -117,6 +119,7 @@ def test_rivals_are_saved(line, tmp_path):
     assert np.array_equal(again.rivals, calibration.rivals, equal_nan=True)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("thickness", [3.0, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_taxels_of_a_plate_are_estimated_on_their_own_face(noisy, tmp_path, thickness):
     box = trimesh.creation.box((50, 40, thickness))
@@ -159,7 +162,7 @@ def test_steps_and_far_sides_are_other_sheets():
     assert same_sheet(offset, np.tile(up, (4, 1)), taxel).tolist() == [True, False, False, True]
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_rival_is_found_without_knowing_the_noise(line):
     """10 % noise, ten times what is assumed where a belief names none."""
     scene, calibration, far = line
@@ -214,6 +217,7 @@ def test_contacts_on_another_face_close_no_open_sector(tilt, sector):
     assert np.allclose(found, sector)
 
 
+@pytest.mark.deep
 def test_only_taxels_that_have_moved_are_searched_again(line, monkeypatch):
     """Where the global parameters stay, the rivals of the others do."""
     scene, calibration, far = line

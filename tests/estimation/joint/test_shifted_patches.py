@@ -104,7 +104,7 @@ def test_the_pressure_leans_to_the_flatter_side(belief):
     assert not patch_shifts(sphere, hit, np.full(1, 3.9e-3)).any()
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_displacements_by_the_shape_of_the_body_are_estimated(belief):
     """Without them the taxels were 0.074 mm off, rms, at a stated 0.043 mm."""
     taxels, recording = record(1)

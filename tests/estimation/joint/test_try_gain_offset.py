@@ -32,6 +32,7 @@ def spread(world, size=0.05, seed=4):
     return np.exp(size * np.random.default_rng(seed).normal(size=len(world.ids)))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("noise", [pytest.param(0.01, marks=pytest.mark.slow), None])
 @pytest.mark.parametrize("size", [pytest.param(0.05, marks=pytest.mark.slow), 0.2])
 def test_taxels_of_different_gain_are_not_broken(world, size, noise):
@@ -60,6 +61,7 @@ def test_one_taxel_of_twice_the_gain(world):
     assert position_errors(found, world.skin)[7] < 60e-6
 
 
+@pytest.mark.deep
 def test_faulty_taxels_among_taxels_of_different_gain_are_named(world):
     bad = [9, 18, 20]
 
@@ -83,6 +85,7 @@ def test_sound_taxels_of_equal_gain_get_no_gains(world):
     assert not any("undeclared" in words for words in found.factors)
 
 
+@pytest.mark.deep
 def test_gains_that_do_not_converge_are_dropped(world, monkeypatch):
     recording = record(world, spread(world))
     converge = JointEstimator.converge

@@ -69,6 +69,7 @@ def test_gains_and_offsets(world, tmp_path):
     assert np.array_equal(again.taxel_unknowns["gain"], found.taxel_unknowns["gain"])
 
 
+@pytest.mark.deep
 def test_force_scale_and_offset(world):
     scaled = record(world, force=world.force / 1.2)
     assert not calibrate(scaled, world.belief(0.01, 0.05)).fit.good
@@ -88,6 +89,7 @@ def test_modulus_force_and_gain_cannot_be_told_apart(world):
     assert found.unknowns["force_scale"][1] > 0.02
 
 
+@pytest.mark.deep
 def test_indenter_offset_with_varied_heading(world):
     d = np.array([3e-4, -2e-4, 1e-4])
     turn = np.random.default_rng(3).uniform(-3, 3, len(world.points))
@@ -136,6 +138,7 @@ def test_nothing_unknown_but_the_taxels(world):
     assert found.modulus == pytest.approx(world.modulus)
 
 
+@pytest.mark.deep
 def test_saturated_readings_are_censored_from_above(world):
     recording = record(world, ceiling=0.6)
     level = 0.6 * world.peak_reference

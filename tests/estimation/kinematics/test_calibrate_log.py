@@ -109,7 +109,7 @@ def test_a_small_exploration(small, explored):
     assert values["clock_offset"][1:] == (found.unknowns["clock_offset"][1], "s")
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_contacts_of_a_small_exploration_are_where_they_happened(small, explored):
     """The same counts with the contacts as computed from the true angles' offsets and clock."""
     found, _ = explored
@@ -342,7 +342,7 @@ def test_heights_alone_find_the_joints(small):
     np.testing.assert_allclose(fit.root @ fit.root.T, fit.covariance, atol=1e-18)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_heights_of_a_stroke_share_the_error_of_its_force(small):
     """Where the force of each stroke is wrong, offsets of joints are farther off, in their standard
     deviations, if contacts are taken for touches of their own. Those with strokes are too small,
@@ -396,6 +396,7 @@ def test_pressures_and_forces_under_the_contact_model(small):
     assert abs(value) < 4 * sigma
 
 
+@pytest.mark.deep
 def test_bad_logs_are_refused_in_one_line(small):
     model, log = small.kinematics(**KNOWN), small.log
     renamed = replace(log, joint_names=("elbow", *log.joint_names[1:]))

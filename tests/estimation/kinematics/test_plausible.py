@@ -79,6 +79,7 @@ def test_an_indenter_in_m_is_named(exploration):
         calibrate_log(exploration.log, known, belief(exploration))
 
 
+@pytest.mark.deep
 def test_what_no_single_mistake_explains_is_refused_without_a_name(exploration):
     log, known, scene = exploration.log, exploration.kinematics(**KNOWN), exploration.scene
     known = replace(known, indenter=known.indenter + np.array([0.1, 0.15, -0.2]))

@@ -109,6 +109,7 @@ def test_the_gradient_of_the_stress_is_that_of_differences(kind):
         assert slope == pytest.approx(gradient[k], rel=1e-4, abs=1e-7 * np.abs(gradient).max())
 
 
+@pytest.mark.deep
 def test_a_layout_without_any_knowledge():
     points = lattice(9, 9)
     frames = touched(points, 6000)
@@ -136,6 +137,7 @@ def test_what_is_touched_seldom_is_more_uncertain():
     assert np.nanmedian(found.sigma[right]) > 1.3 * np.nanmedian(found.sigma[~right])
 
 
+@pytest.mark.deep
 def test_rigid_modules_give_scale_and_handedness():
     ids, points = modules(*tiling())
     frames = touched(points, 5000) > 0
@@ -213,6 +215,7 @@ def test_parts_are_placed_by_near_taxels_across_their_gap():
     )
 
 
+@pytest.mark.deep
 def test_a_layout_on_a_sphere_is_that_of_the_taxels():
     body = ms.Body.sphere(0.06)
     plane = lattice(8, 8, 5e-3)

@@ -34,7 +34,7 @@ def test_displacements_that_neighbours_share_widen_the_variances():
     assert any("errors of contact points are alike" in words for words in found.verdict.reasons)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_scatter_widens_nothing():
     found = calibrate(displaced(0, alike=False), belief(contact="learned"))
     assert found.response.alike_contacts == 1.0

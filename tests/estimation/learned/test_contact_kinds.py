@@ -29,6 +29,7 @@ def displaced(log, by):
     return replace(log.with_columns(points=log.points + by), metadata={})
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("share", "size"),
     [(0.25, 1e-3), *(pytest.param(0.5, size, marks=pytest.mark.slow) for size in (1e-3, 2e-3))],
@@ -70,7 +71,7 @@ def test_scatter_is_of_one_kind(kind):
     assert not any("displaced against" in words for words in found.verdict.reasons)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_jump_that_errors_of_contacts_stand_in_for(seed):
     """Pressed in lanes, most taxels are touched on one side of it only."""

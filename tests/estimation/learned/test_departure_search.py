@@ -116,6 +116,7 @@ def test_displaced_contacts_are_left_out_before_departures_are_searched(monkeypa
     assert 8 <= seen[0] <= 12  # 10 are displaced
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("ended", [False, True])
 def test_rivals_are_sought_of_an_estimate_that_has_come_to_rest(monkeypatch, ended):
     """Or whose search for departures has come to an end."""
@@ -137,6 +138,7 @@ def test_rivals_are_sought_of_an_estimate_that_has_come_to_rest(monkeypatch, end
     assert bool(sought) is ended
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("equal", [False, True])
 def test_no_response_is_learned_of_a_log_that_fails_by_itself(monkeypatch, equal):
     """Equal pressures are none, whatever the response."""

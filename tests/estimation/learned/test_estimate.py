@@ -122,6 +122,7 @@ def errors(calibration):
     return np.sqrt(np.mean(off**2)), np.sqrt(np.mean(stated))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("wave", "noise"), [pytest.param(0.05, 0.01, marks=pytest.mark.slow), (0.1, 0.02)]
 )
@@ -138,6 +139,7 @@ def test_unmeasured_forces_whose_errors_neighbouring_contacts_share(wave, noise)
     assert 0.9 * wave / 2**0.5 < scatter < 1.4 * wave / 2**0.5  # with what noise has in it
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("measured", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_whole_patches_that_press_harder_than_their_forces_say(measured):
     def harder(pressure, rng):
@@ -171,6 +173,7 @@ def test_a_recording_without_a_force_is_refused(readings):
         calibrate(recording(points, 0 * force, *found), belief(readings=readings))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("groups", [(), (range(5, 12), [0, 20])])
 def test_every_derivative_of_the_learned_response(groups):
     known = belief(contact="learned", response_groups=groups)
@@ -250,6 +253,7 @@ def test_a_bell_shaped_profile_is_learned(bell_shaped):
     assert 0.75 < stated / error < 1.3
 
 
+@pytest.mark.deep
 def test_noise_does_not_fall_before_its_share_in_the_residuals_is_known(monkeypatch):
     """Two or three readings of a contact fit its three errors however small the noise is: on a limb
     the noise fell to its least value and stayed there."""
@@ -268,6 +272,7 @@ def test_noise_does_not_fall_before_its_share_in_the_residuals_is_known(monkeypa
     assert noise[-1] < noise[0]
 
 
+@pytest.mark.deep
 def test_noise_that_grows_with_the_reading_comes_to_rest():
     """Its constant part and the other one grew in turn."""
 
@@ -281,6 +286,7 @@ def test_noise_that_grows_with_the_reading_comes_to_rest():
     assert found.verdict.level == "PASS"
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_gains_that_rise_and_fall_during_the_recording(seed):
     """By one period of a sine, from 0.9 to 1.1."""
@@ -296,6 +302,7 @@ def test_gains_that_rise_and_fall_during_the_recording(seed):
     assert 0.8 < stated / rms < 1.25
 
 
+@pytest.mark.deep
 def test_scatter_of_the_contact_points_is_found():
     log = recording(*world(hertz, scatter=0.3e-3))
     learned = calibrate(log, belief())
@@ -333,7 +340,7 @@ def test_force_errors_are_found(seed, contacts):
     assert 0.75 < stated / error < 1.35
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_forces_recorded_as_constant_are_mended():
     body, rng = Body.ellipsoid((0.07, 0.05, 0.04)), np.random.default_rng(4)
     side = rng.normal(size=3)
@@ -354,6 +361,7 @@ def test_forces_recorded_as_constant_are_mended():
     assert "the force is constant" in found.verdict.reasons[0]
 
 
+@pytest.mark.deep
 def test_ovals_do_not_pass_for_lags_of_single_taxels():
     """A skin on an ellipsoid whose patches are 3 % longer than wide, which spirals cross."""
     body, count = Body.ellipsoid((0.08, 0.08, 0.1)), 500
@@ -371,6 +379,7 @@ def test_ovals_do_not_pass_for_lags_of_single_taxels():
     assert str(found.verdict.level) == "PASS"
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("unit", [1.0, 1e-3])
 def test_corrupt_and_stuck_taxels_of_a_learned_response_are_named(unit):
     """unit: of the readings, Pa; another than 1 Pa is believed to be raw."""
@@ -413,6 +422,7 @@ def test_compression_is_told_from_the_profile_where_forces_vary():
     assert 0.75 < np.divide(*errors(learned)[::-1]) < 1.35
 
 
+@pytest.mark.deep
 def test_the_noise_on_a_smooth_body_is_no_error_over_edges():
     """A sphere departs from its quadrics, by nearly as much in all contacts."""
     found = calibrate(recording(*world(hertz, noise=0.02)), belief(contact="learned"))
@@ -442,7 +452,7 @@ def test_raw_counts_need_no_unit():
     assert "exponents of the radius is not determined" in found.undetermined  # one force
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_next_contacts_of_a_loaded_calibration_take_the_belief_in_counts():
     own = belief(readings="raw", force_reference=FORCE, threshold=8.0, noise_sigma=3.0)
     found = calibrate(recording(*counts(scatter=0.0)), own)
@@ -485,6 +495,7 @@ def test_few_contacts_leave_the_model():
     assert np.sum(square["auto"]) < 1.1**2 * np.sum(square["hertz"])
 
 
+@pytest.mark.deep
 def test_few_readings_of_each_taxel_are_named():
     found = calibrate(recording(*world(hertz, contacts=60)), belief(contact="learned"))
     assert np.median(found.readings) < 10
@@ -501,6 +512,7 @@ def test_a_response_is_saved_with_its_calibration(bell_shaped, tmp_path):
     assert again.unknowns == found.unknowns
 
 
+@pytest.mark.deep
 def test_contact_errors_that_vary_slowly_are_no_scatter():
     """A kinematic error: neighbouring contacts are off alike, whatever the path's order."""
     points, force, contact, taxel, level = world(hertz)
@@ -513,7 +525,8 @@ def test_contact_errors_that_vary_slowly_are_no_scatter():
     assert any("not scatter" in words for words in found.verdict.reasons)
 
 
-@pytest.mark.parametrize("uneven", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.deep
+@pytest.mark.parametrize("uneven", [True, pytest.param(False, marks=pytest.mark.deep)])
 def test_a_skin_of_uneven_stiffness_is_named(uneven):
     """Forces that scatter by as much from contact to contact are no unevenness."""
     rng = np.random.default_rng(5)

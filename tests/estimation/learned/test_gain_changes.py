@@ -11,7 +11,7 @@ from meshskin.estimation.joint.gain_changes import GAIN_CHANGES
 from .test_contact_kinds import scattered
 
 
-@pytest.mark.parametrize("factor", [pytest.param(1.0, marks=pytest.mark.slow), 0.3])
+@pytest.mark.parametrize("factor", [pytest.param(1.0, marks=pytest.mark.deep), 0.3])
 def test_one_taxel_at_a_lower_gain_from_halfway_on(factor):
     """It is left out; the others, and all of a sound recording, are not."""
     scene, log = scattered(0)
@@ -27,6 +27,7 @@ def test_one_taxel_at_a_lower_gain_from_halfway_on(factor):
     assert np.nanmax(error) < 0.2e-3
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [0, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_place_that_readings_of_both_gains_determine_has_their_error(seed):
     """Outlying readings of both gains are left out, and others of both fit a place 0.4 to 0.5 mm

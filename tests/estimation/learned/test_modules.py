@@ -94,6 +94,7 @@ def clean():
     return calibrated()
 
 
+@pytest.mark.deep
 def test_modules_are_turned_and_placed_better_than_single_taxels(clean):
     found, truth, rotations = clean
     alone, _, _ = calibrated(layout=None)
@@ -106,7 +107,7 @@ def test_modules_are_turned_and_placed_better_than_single_taxels(clean):
     assert any("rigid modules" in factor for factor in found.factors)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_dead_taxel_follows_and_exchanged_ones_are_named():
     found, truth, _ = calibrated(dead=[4], swapped=[13, 18])
     assert not found.touched[4]
@@ -116,6 +117,7 @@ def test_a_dead_taxel_follows_and_exchanged_ones_are_named():
     assert sum("from its place" in fault for fault in found.faults) == 2
 
 
+@pytest.mark.deep
 def test_a_module_without_readings_has_no_place_and_the_others_have():
     silent = np.arange(len(TAXELS))
     found, truth, _ = calibrated(dead=silent)
@@ -143,7 +145,7 @@ def test_taxels_that_are_not_arranged_in_modules_are_refused():
         calibrated(layout=slots.OFFSETS[::-1] * [3.0, 0.2, 1.0])
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_heights_of_the_taxels_are_no_errors_of_the_contacts():
     """Without them, contacts seem displaced by up to 0.02 mm: all seeds were DOUBT, stated errors
     2.7 times the true ones."""

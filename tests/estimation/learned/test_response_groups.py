@@ -105,6 +105,7 @@ def two():
     return log, calibrate(log, belief(contact="learned"))
 
 
+@pytest.mark.deep
 def test_two_responses_in_one_recording_are_found_and_estimated(two, tmp_path):
     log, found = two
     error, stated = errors(found)

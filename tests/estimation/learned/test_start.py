@@ -36,6 +36,7 @@ def first(logs):
     return estimate(logs[0])
 
 
+@pytest.mark.deep
 def test_the_estimate_is_that_without_a_former_one_in_fewer_steps(logs, first, monkeypatch):
     searched = []
     monkeypatch.setattr(module, "first_estimate", lambda *_: pytest.fail("begins anew"))

@@ -121,6 +121,7 @@ def replay(known):
     return online
 
 
+@pytest.mark.deep
 def test_readings_are_shown_without_what_the_past_adds(past):
     found, recording = past
     assert found.response.hysteresis[0] > 0.2

@@ -77,6 +77,7 @@ def test_the_running_estimate_is_the_batch_estimate(online, batch):
     assert status.median_sigma == pytest.approx(np.median(online.position_sigma[found]))
 
 
+@pytest.mark.deep
 def test_one_by_one_in_another_order_gives_the_same(world, frames, batch):
     contacts, readings = frames
     contacts, readings = contacts.take(slice(None, None, -1)), readings[::-1]
@@ -89,7 +90,7 @@ def test_one_by_one_in_another_order_gives_the_same(world, frames, batch):
     assert sigmas_apart(other, batch)[found].max() < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_lane_after_lane_it_stays_at_the_batch_estimate(world):
     """Frame by frame without `settle`, as contacts come in an exploration."""
     lanes = np.lexsort((world.points[:, 1], np.round(world.points[:, 0] / 5e-3)))[::4]
@@ -122,6 +123,7 @@ def test_the_final_calibration_is_that_of_the_batch_estimator(online, batch):
     assert (gap < 0.01 * batch.position_sigma[found]).all()
 
 
+@pytest.mark.deep
 def test_outliers_and_dead_taxels_are_left_out_and_counted(world, frames, batch):
     contacts, readings = frames
     rng, readings = np.random.default_rng(3), readings.copy()
@@ -140,6 +142,7 @@ def test_outliers_and_dead_taxels_are_left_out_and_counted(world, frames, batch)
     assert (error < 5 * online.position_sigma[found]).all()
 
 
+@pytest.mark.deep
 def test_an_unknown_noise_is_estimated_on_the_way(world, frames):
     contacts, readings = frames
     online = ms.OnlineCalibration(world.belief(None, THRESHOLD))
@@ -175,6 +178,7 @@ def test_normal_equations_are_those_of_another_unit(world, frames):
     assert np.allclose(info.covariance[rows], before.covariance[rows], rtol=1e-6)
 
 
+@pytest.mark.deep
 def test_a_recalibration_serves_as_the_previous_calibration(sphere):
     few = sphere.with_(skin=ms.Skin(sphere.skin.poses[:12], sphere.skin.ids[:12]))
     found = ms.recalibrate(few.skin, ms.press(few, few.skin.positions), few.belief())
@@ -194,6 +198,7 @@ def test_taxels_that_moved_are_named(online, batch):
         assert (verdict == "moved since the last calibration") == bool(moved)
 
 
+@pytest.mark.deep
 def test_a_wrong_noise_is_a_misfit_and_widens_the_covariances(world, frames):
     contacts, readings = frames
     online = ms.OnlineCalibration(world.belief(NOISE / 3, THRESHOLD))
@@ -206,6 +211,7 @@ def test_a_wrong_noise_is_a_misfit_and_widens_the_covariances(world, frames):
     assert (error < 4 * online.position_sigma[found]).all()
 
 
+@pytest.mark.deep
 def test_it_goes_on_after_pickling(world, frames):
     contacts, readings = frames
     first = run(world, contacts.take(slice(0, 30)), readings[:30])
@@ -306,6 +312,7 @@ def on_capsule(noise=0.01):
     return scene, recording
 
 
+@pytest.mark.deep
 def test_a_contact_model_that_the_first_contact_suggests_gives_way():
     """The first contact is on the end cap, where Hertz' circle holds, all others are not."""
     scene, recording = on_capsule()
@@ -319,6 +326,7 @@ def test_a_contact_model_that_the_first_contact_suggests_gives_way():
     assert (np.diff(online.recording().time) > 0).all()
 
 
+@pytest.mark.deep
 def test_a_light_first_contact_does_not_set_the_priors(sphere):
     """Of a force offset that is unknown: its prior is relative to the reference force."""
     skin, rng = ms.Skin.cover(sphere.body, spacing=6e-3, count=7, seed=1), np.random.default_rng(0)
@@ -359,7 +367,7 @@ def test_a_misfit_is_said_when_most_data_are_bad(world, frames, off, why):
     assert why in status.why
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_contacts_that_were_rejected_too_early_come_back(world, frames):
     """Under an E* of three times the true one, sound contacts contradict the first estimates."""
     contacts, readings = frames
@@ -372,6 +380,7 @@ def test_contacts_that_were_rejected_too_early_come_back(world, frames):
     assert online.settle().rejected < before / 3
 
 
+@pytest.mark.deep
 def test_late_readings_are_a_misfit(world):
     """By two frames; lanes go to and fro."""
     every = np.arange(len(world.points)).reshape(12, -1)[:, ::2]

@@ -39,6 +39,7 @@ def cost(graph, poses, objective):
     return 0.5 * float(np.einsum("ea,eab,eb->", e, graph.information, e))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", OPTIMA)
 def test_certified_optima(name):
     graph = standard(name)
@@ -50,6 +51,7 @@ def test_certified_optima(name):
     assert np.isclose(solution.cost, cost(graph, solution.poses, "chordal"), rtol=1e-9)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", OPTIMA)
 def test_chordal_start_is_the_published_one(name):
     from meshskin.estimation.posegraph.start import chordal

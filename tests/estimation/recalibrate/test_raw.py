@@ -72,6 +72,7 @@ def mapped(world, request):
     return ms.calibrate(recording, belief), belief, request.param
 
 
+@pytest.mark.deep
 def test_changes_are_found_in_raw_readings(world, mapped, tmp_path):
     scene, _, few = world
     map_, belief, falling = mapped
@@ -84,6 +85,7 @@ def test_changes_are_found_in_raw_readings(world, mapped, tmp_path):
     assert {(f.number, f.state) for f in found.findings} == {(3, "dead"), (8, "gain changed")}
 
 
+@pytest.mark.deep
 def test_an_unchanged_skin_of_raw_readings_is_confirmed(world, mapped):
     scene, _, few = world
     map_, _, falling = mapped

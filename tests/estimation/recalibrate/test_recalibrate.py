@@ -13,6 +13,7 @@ import meshskin as ms
 from meshskin.core.errors import CalibrationError, ConfigError
 from meshskin.estimation.recalibrate import errors as errors_module
 from meshskin.estimation.recalibrate import evidence, readings
+from meshskin.estimation.recalibrate.blocks import all_log_likelihoods
 from meshskin.estimation.recalibrate.hypotheses import (
     CONFIRMED,
     DEAD,
@@ -55,6 +56,7 @@ def turned(skin, module):
     return replace(skin, poses=poses)
 
 
+@pytest.mark.deep
 def test_a_turned_module_is_found_and_the_others_are_confirmed(setting):
     scene, points = setting
     now = turned(scene.skin, 4)
@@ -78,6 +80,7 @@ def test_a_turned_module_is_found_and_the_others_are_confirmed(setting):
     assert set(compared.permutation) == {12 * 4 + s for s in slots.TAXELS if s != slots.CENTRE}
 
 
+@pytest.mark.deep
 def test_untouched_modules_and_taxels_are_not_confirmed(setting):
     scene, points = setting
     recording = ms.press(scene, points[:4])
@@ -93,6 +96,7 @@ def test_untouched_modules_and_taxels_are_not_confirmed(setting):
     )
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("factor", "state"), [(0.0, "dead"), pytest.param(2.0, "gain changed", marks=pytest.mark.slow)]
 )
@@ -353,7 +357,7 @@ def displaced(skin, offset):
     return replace(skin, poses=poses)
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_place_three_sigmas_off_is_no_change(sphere):
     """Its readings are not straight over three standard deviations of its place."""
     scene, points = single_taxels(sphere, 0)
@@ -366,6 +370,7 @@ def test_a_place_three_sigmas_off_is_no_change(sphere):
     assert found.unit_evidence[4] < 0
 
 
+@pytest.mark.deep
 def test_the_likelihood_of_a_taxel_is_that_over_all_places_that_the_map_allows(sphere):
     """Against random places about a map that is three standard deviations off."""
     scene, points = single_taxels(sphere, 0)
@@ -390,6 +395,7 @@ def test_the_likelihood_of_a_taxel_is_that_over_all_places_that_the_map_allows(s
     assert abs(likelihoods([state])[0] - expected) > 1.0  # over all of them at once
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3))])
 def test_a_module_is_judged_by_all_places_that_the_map_allows(setting, seed):
     """The readings of taxels at random places of the map's own uncertainty that its straight
@@ -505,3 +511,30 @@ def test_a_change_that_is_not_excluded_is_named(odds, words):
     known = SimpleNamespace(ids=np.array([30, 31, 32]), noun="module")
     said = _words(known, change) + _rival(known, np.arange(3), change)
     assert said == words
+
+
+@pytest.mark.parametrize("state", ["moved", "gain"])
+def test_the_likelihoods_of_a_stack_are_those_of_its_blocks(sphere, state):
+    """Of blocks of unlike sizes, with errors of all kinds, by their dense covariances."""
+    scene, points = single_taxels(sphere, 0)
+    touches = Touches(_data(scene, points), skin_map(scene.skin, scene.belief()))
+    errors = Errors(0.01, 1e-4, 0.02, 0.05, common=((0.04, 0.01), (0.01, 0.02)))
+    base = unchanged(touches.known, 4)
+    steps = moved(base, scene.body, grid()) if state == "moved" else regained(base, True)
+    blocks = touches.blocks(4, [base, dead(base), *steps], errors)
+    blocks = [replace(b, log_gain_sigma=b.bend + 0.1, offset_sigma=b.bend + 0.02) for b in blocks]
+    assert len({len(block.mean) for block in blocks}) > (state == "moved")
+    expected = [block.log_likelihood(errors, touches.threshold) for block in blocks]
+    found = all_log_likelihoods(blocks, errors, touches.threshold)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_levels_beyond_the_patches_are_zero(setting, monkeypatch):
+    scene, points = setting
+    touches = Touches(_data(scene, points), skin_map(scene.skin, scene.belief()))
+    rng = np.random.default_rng(0)
+    offset, contact = rng.normal(scale=6e-3, size=(9000, 3)), np.arange(9000) % len(points)
+    found = touches._means(offset, contact, 0.0)
+    monkeypatch.setattr(touches, "_is_pressed", lambda offset, *_: np.full(len(offset), True))
+    np.testing.assert_allclose(found, touches._means(offset, contact, 0.0), atol=1e-15)
+    assert 0.2 < np.mean(found > 0) < 0.8

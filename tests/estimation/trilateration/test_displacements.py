@@ -146,6 +146,7 @@ def test_displacements_with_an_undetermined_direction_are_left_out(world):
         displacement_graph(data, trilateration=one_way)
 
 
+@pytest.mark.deep
 def test_noise_above_a_low_threshold_makes_no_pairs(world):
     """Half of all readings are noise above a threshold of zero: everyone answers everywhere."""
     recording, belief = world.record(0.02), world.belief(0.02)
@@ -161,6 +162,7 @@ def test_noise_above_a_low_threshold_makes_no_pairs(world):
     assert position_errors(found, world.skin, gauge=True).mean() < 1e-3
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("noise", "threshold"), [(0.02, 0.0), (0.05, 0.1)])
 def test_readings_near_the_noise_do_not_bias_displacements(world, noise, threshold):
     """Of readings that noise has raised over a limit all seem nearer than they are."""
@@ -214,7 +216,7 @@ def test_errors_of_edges_that_share_readings_are_correlated(drawn):
     assert np.mean(alike) > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("noise", "threshold", "method"),
     [

@@ -54,6 +54,7 @@ def test_wrong_for_readings_of_discs_where_chosen_circles_are_right(world):
     assert np.linalg.norm(chosen - world.truth, axis=1).max() < 1e-7
 
 
+@pytest.mark.deep
 def test_the_covariance_holds_the_error_of_the_disc(world):
     found = [
         calibrate(world.record(noise, 0.05, seed), world.belief(noise, 0.05), method="eq15")

@@ -69,7 +69,9 @@ def log(noisy):
     return press(noisy)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method", ["joint", *(pytest.param(k, marks=pytest.mark.deep) for k in METHODS if k != "joint")]
+)
 def test_a_body_too_large_is_in_the_variance_of_every_method(noisy, log, method):
     belief = noisy.belief(body=ms.Body.sphere(0.101))
     found = ms.calibrate(log, belief, method=method)
@@ -80,7 +82,7 @@ def test_a_body_too_large_is_in_the_variance_of_every_method(noisy, log, method)
     assert 0.5 < stated_over_true(found, noisy.skin.positions) < 2
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_an_ellipsoid_too_large(seed):
     scene = ms.Scene.load("ellipsoid")
@@ -92,11 +94,13 @@ def test_an_ellipsoid_too_large(seed):
     assert 0.8 < stated_over_true(ms.calibrate(log, wrong), scene.skin.positions) < 1.25
 
 
+@pytest.mark.deep
 def test_a_learned_response_has_the_error_of_the_body(noisy, log):
     belief = noisy.belief(contact="learned", body=ms.Body.sphere(0.101))
     assert 0.5 < stated_over_true(ms.calibrate(log, belief), noisy.skin.positions) < 2
 
 
+@pytest.mark.deep
 def test_exact_contact_points_add_nothing(noisy, log):
     found = ms.calibrate(log, noisy.belief())
     shape = np.tile(10 * np.eye(2), (len(found.ids), 1, 1))
@@ -108,6 +112,7 @@ def test_exact_contact_points_add_nothing(noisy, log):
     assert more[:, 2, 2] == pytest.approx(4e-8)
 
 
+@pytest.mark.deep
 def test_a_declared_error_of_the_surface_holds_a_body_and_contacts_of_another_size():
     """1 % too large, both, as a learned response bears: at the end of a long capsule taxels are
     0.5 mm off along the surface."""
@@ -136,6 +141,7 @@ def test_a_declared_error_of_the_surface_holds_a_body_and_contacts_of_another_si
     assert along[0.5e-3] == pytest.approx(np.abs(error[good, 2]).mean(), rel=0.3)
 
 
+@pytest.mark.deep
 def test_waves_of_the_surface_are_in_the_normal_variance(noisy, log):
     """Contacts and taxels are on a surface with waves, 50 mm long, about the believed sphere."""
 
@@ -160,7 +166,8 @@ def test_scatter_of_the_contact_points_averages_out(noisy, log):
     assert variance == pytest.approx(1e-8 * concentration, rel=0.2)
 
 
-@pytest.mark.parametrize("scatter", [pytest.param(0.0, marks=pytest.mark.slow), 1e-4])
+@pytest.mark.deep
+@pytest.mark.parametrize("scatter", [pytest.param(0.0, marks=pytest.mark.deep), 1e-4])
 def test_displaced_contact_points_displace_taxels(noisy, log, scatter):
     aside = np.random.default_rng(0).normal(scale=scatter, size=log.points.shape)
     aside[:, 0] += 1e-3
@@ -191,8 +198,9 @@ def test_estimated_offsets_explain_distances(noisy, log):
     assert np.sqrt(alone[:, 0, 0]).mean() > 0.5e-3
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
-    "frames", [-2, 7, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 3))]
+    "frames", [-2, 7, *(pytest.param(k, marks=pytest.mark.deep) for k in (1, 3))]
 )
 def test_late_readings_are_moved_back_and_named(noisy, log, frames):
     found = ms.calibrate(late(log, frames), noisy.belief())
@@ -203,6 +211,7 @@ def test_late_readings_are_moved_back_and_named(noisy, log, frames):
     assert any(f"readings are {count} too {word}" in reason for reason in found.verdict.reasons)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("frames", "part"),
     [(2, 0.4), *(pytest.param(*k, marks=pytest.mark.slow) for k in ((-3, 0.4), (1, -0.3)))],
@@ -233,6 +242,7 @@ def test_single_wrong_contacts_are_no_displacement_of_all():
     np.testing.assert_allclose(found[[0, 2]], shift[[0, 2]], atol=1e-5)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("turn", "stretch", "most"),
     [(0.03, 0.0, 1.5), pytest.param(0.0, 0.015, 3.0, marks=pytest.mark.slow)],
@@ -294,6 +304,7 @@ def test_a_motion_points_where_the_contact_points_were_moved():
     np.testing.assert_allclose(found.at(points).mean(axis=0), moved, atol=1e-6)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("shifted", [True, False])
 def test_motions_of_an_egg_are_counted(shifted):
     """Shifts and turns about the middle, alike in size, and turns alone, are stated as large as
@@ -340,6 +351,7 @@ def test_scatter_off_a_nearly_flat_patch_is_no_change_of_scale(seed):
     assert not found.at(points).any()
 
 
+@pytest.mark.deep
 @needs_ur3e
 def test_a_turned_frame_of_a_link_is_named():
     """By 3 degrees: turn, shift and change of scale together run far off, to first order; without
@@ -385,6 +397,7 @@ def test_contact_points_of_another_place_of_the_body_may_be_anywhere_on_it():
         assert least <= np.sqrt(np.einsum("nii->n", squares).mean()) <= most
 
 
+@pytest.mark.deep
 def test_dents_under_a_small_skin_are_no_far_motion_of_the_body():
     """A slide by 40 mm along the body explains them to first order, and does not explain them."""
     base, rng = ms.Scene.load("sphere_noisy"), np.random.default_rng(2)
@@ -421,6 +434,7 @@ def test_contact_points_of_another_scale_count_by_half():
     assert np.sqrt(squares[:, 2, 2].mean()) == pytest.approx(1.5e-3 / 2**0.5, rel=0.05)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("top", "scatter"), [(0.0, 0.0), (0.0, 2e-5), (5e-4, 0.0)])
 def test_a_flat_skin_in_the_origin_of_its_frame_tells_no_size(top, scatter):
     """The heights of its contact points about the origin are their own errors."""

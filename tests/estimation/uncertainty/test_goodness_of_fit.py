@@ -124,6 +124,7 @@ def heights(places, z):
     return places.height + np.einsum("ni,ni->n", places.normals, x - places.points())
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seeds", [8, pytest.param(300, marks=pytest.mark.slow)])
 def test_the_statistic_has_the_mean_of_one_at_few_readings_a_taxel(sparse, seeds):
     """Seven readings and two unknowns: without leverages the mean would be 5 / 7."""

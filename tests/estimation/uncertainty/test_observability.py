@@ -111,6 +111,7 @@ def test_errors_with_and_without_the_gauge(world):
     assert np.isnan(summary_mm(np.array([np.nan]))["mean"])
 
 
+@pytest.mark.deep
 def test_readings_without_noise_are_ideal(world):
     assert is_ideal(calibrate(world.record(), world.belief()))
     assert not is_ideal(calibrate(world.record(0.001), world.belief(0.001)))

@@ -35,7 +35,7 @@ def exchanged(world, recording, share):
     return changed(recording, taxel=np.where(late, other[index], ids).astype(np.int32))
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_ids_exchanged_in_half_of_the_recording():
     wide = World(extent=25e-3, step=1.5e-3)
     recording, belief = wide.record(0.01, 0.05), wide.belief(0.01, 0.05)
@@ -84,6 +84,7 @@ def test_a_taxel_that_answers_ten_thousands_of_times(wide):
     assert peak < 200e6
 
 
+@pytest.mark.deep
 def test_the_level_is_that_of_the_share_of_taxels(wide):
     recording, belief = wide.record(0.01, 0.05), wide.belief(0.01, 0.05)
     sound = calibrate(recording, belief)
@@ -115,7 +116,7 @@ def swept(skin, body, seed):
     return points[np.lexsort((points[:, 1] * np.where(lane % 2, 1, -1), lane))]
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_ids_of_a_module_that_are_off_by_one_from_midway():
     """In lanes few taxels answer before and after it; the second places are next to the first."""
     base = ms.Scene.load("sphere_noisy")
@@ -157,6 +158,7 @@ def test_taxels_between_two_lanes_as_far_apart_as_a_patch_is_wide():
     assert len(exchanged_taxels(data, skin.positions)[0]) == 0
 
 
+@pytest.mark.deep
 def test_two_taxels_that_exchange_their_ids_midway_state_no_small_sigma():
     """Each answers as often at one place as at the other: neither is more likely its own."""
     base = ms.Scene.load("sphere_noisy")

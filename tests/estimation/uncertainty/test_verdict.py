@@ -129,18 +129,18 @@ def test_the_scale_of_forces_that_a_learned_response_has_is_no_remedy(measured):
     assert ("force_scale" in words) == measured
 
 
-DEEP = ("pressures times 2", "15 mm out", "some pressures negative")
-"""Logs like another one that are tried with -m slow."""
+FIRST = ("pressures times 3", "indenter 1 mm off", "1 frame late")
+"""Logs of the default run; the others are tried with -m deep."""
 
 
 @pytest.mark.parametrize(
     ("name", "noise"),
     [
         *(
-            pytest.param(name, "known", marks=pytest.mark.slow if name in DEEP else ())
+            pytest.param(name, "known", marks=() if name in FIRST else pytest.mark.deep)
             for name in LOGS
         ),
-        *(pytest.param(name, "unknown", marks=pytest.mark.slow) for name in LOGS),
+        *(pytest.param(name, "unknown", marks=pytest.mark.deep) for name in LOGS),
     ],
 )
 def test_wrong_logs_are_named(noisy, recorded, name, noise):
@@ -166,7 +166,7 @@ def test_negative_readings_of_frames_without_force_do_not_hide_corrupt_ones(nois
     assert found[1].startswith(f"{len(corrupt)} of {len(pressure)} readings are corrupt")
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("factor", [0.5, 3.0])
 def test_no_taxel_is_confidently_wrong_where_the_model_does_not_fit(noisy, recorded, factor):
     found = ms.calibrate(changed(recorded, pressure=factor * recorded.pressure), noisy.belief())
@@ -176,7 +176,7 @@ def test_no_taxel_is_confidently_wrong_where_the_model_does_not_fit(noisy, recor
     assert not np.any((error > 0.3e-3) & (error > 5 * found.position_sigma))
 
 
-@pytest.mark.parametrize("noise", ["known", "unknown"])
+@pytest.mark.parametrize("noise", ["known", pytest.param("unknown", marks=pytest.mark.deep)])
 def test_a_sound_log_passes(noisy, recorded, noise, tmp_path):
     found = ms.calibrate(recorded, beliefs(noisy)[noise])
     assert found.verdict.level == "PASS"
@@ -216,12 +216,13 @@ def test_logs_without_a_press_or_a_reading_are_refused(noisy, recorded, change):
         ms.calibrate(wrong, noisy.belief())
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("factor", "level"),
     [
         (5, "DOUBT"),
         *(
-            pytest.param(*k, marks=pytest.mark.slow)
+            pytest.param(*k, marks=pytest.mark.deep)
             for k in ((2, "PASS"), (12, "FAIL"), (30, "FAIL"))
         ),
     ],
@@ -235,6 +236,7 @@ def test_the_nominal_modulus_is_compared(noisy, recorded, factor, level):
     assert level == "PASS" or "times the nominal" in found.verdict.reasons[0]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("noise", ["known", pytest.param("unknown", marks=pytest.mark.slow)])
 def test_a_body_one_percent_too_large_is_named(noisy, recorded, noise):
     belief = replace(beliefs(noisy)[noise], body=ms.Body.sphere(0.101))
@@ -242,6 +244,7 @@ def test_a_body_one_percent_too_large_is_named(noisy, recorded, noise):
     assert any("1 mm below the believed surface" in r for r in found.verdict.reasons)
 
 
+@pytest.mark.deep
 def test_the_verdict_is_the_first_of_what_is_saved_and_printed(
     noisy, recorded, tmp_path, no_figures
 ):
@@ -257,8 +260,9 @@ def test_the_verdict_is_the_first_of_what_is_saved_and_printed(
     assert "FAIL: do not use this calibration." in (tmp_path / "r.html").read_text()
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
-    ("back", "level"), [pytest.param(-1, "PASS", marks=pytest.mark.slow), (1, "DOUBT")]
+    ("back", "level"), [pytest.param(-1, "PASS", marks=pytest.mark.deep), (1, "DOUBT")]
 )
 def test_clocks_that_were_not_compared_are_named_where_strokes_have_one_direction(
     noisy, back, level
@@ -284,6 +288,7 @@ def test_sound_logs_pass(noisy, noise):
     assert "FAIL" not in levels
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("lean", [pytest.param(0.0, marks=pytest.mark.slow), 0.2])
 def test_recorded_normals_that_scatter_or_lean_alike_accuse_nothing(noisy, recorded, lean):
     rng = np.random.default_rng(1)
@@ -292,6 +297,7 @@ def test_recorded_normals_that_scatter_or_lean_alike_accuse_nothing(noisy, recor
     assert found.verdict.level == "PASS"
 
 
+@pytest.mark.deep
 def test_single_normals_that_lean_back_accuse_no_axes(noisy, recorded):
     """4 % of the contacts, as over an edge: the regression through all normals has a quarter of the
     turn, that through the others the whole."""
@@ -301,6 +307,7 @@ def test_single_normals_that_lean_back_accuse_no_axes(noisy, recorded):
     assert found.verdict.level == "PASS", found.verdict.reasons
 
 
+@pytest.mark.deep
 def test_taxels_where_contacts_end_are_not_surrounded(world):
     """Contacts over the half x > 0 only: the weighted mean of a taxel at its edge is displaced."""
     whole = world.record(0.01, 0.05)
@@ -318,6 +325,7 @@ def test_taxels_where_contacts_end_are_not_surrounded(world):
     assert calibrate(half, belief).verdict.level == "PASS"
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("offset", "words"),
     [pytest.param(1.0, "1 N too large", marks=pytest.mark.slow), (-1.0, "0.98 N too small")],
@@ -329,9 +337,10 @@ def test_an_offset_of_the_forces_is_named(noisy, recorded, offset, words):
     assert any(f"forces seem to be {words}" in text for text in found.verdict.reasons)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("factor", "level"),
-    [*(pytest.param(k, "PASS", marks=pytest.mark.slow) for k in (1.0, 2.0)), (4.0, "DOUBT")],
+    [*(pytest.param(k, "PASS", marks=pytest.mark.deep) for k in (1.0, 2.0)), (4.0, "DOUBT")],
 )
 def test_an_overstated_noise_is_named(noisy, recorded, factor, level):
     belief = noisy.belief()
@@ -368,6 +377,7 @@ def bumpy_handle():
     return ms.Scene(body=body, skin=skin, indenter=ms.Indenter.sphere(0.01))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "scene", [lambda: ms.Scene.load("sphere"), pytest.param(bumpy_handle, marks=pytest.mark.slow)]
 )
@@ -393,6 +403,7 @@ def test_a_mirrored_axis_shows_on_a_patch_that_hardly_turns(share):
     assert least_turn(surface, surface + rng.normal(0, 2e-3, surface.shape))[0] > 0.9
 
 
+@pytest.mark.deep
 def test_contacts_at_the_edge_of_a_plate_accuse_no_frame(noisy):
     body = ms.Body.from_mesh(trimesh.creation.box((0.08, 0.06, 0.02)))
     region = Cap(direction=(0.0, 0.0, 1.0))

@@ -206,6 +206,7 @@ def test_command_says_what_and_where(ball, tmp_path, capsys):
     assert "largest extent" in capsys.readouterr().out
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", ["png", "html"])
 def test_command_draws_where(ball, tmp_path, kind):
     trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export(tmp_path / "hole.ply")
@@ -263,6 +264,7 @@ def test_indenters_are_not_silently_left_out(ball, tmp_path, capsys):
     assert "indenter  not tried on a mesh that cannot be a body" in capsys.readouterr().out
 
 
+@pytest.mark.deep
 def test_indenters_are_compared(ball, tmp_path, capsys):
     ball.export(tmp_path / "ball.ply")
     line = ["check", str(tmp_path / "ball.ply"), "--units", "m", "--indenter-radius-mm"]

@@ -93,6 +93,7 @@ def each_way(request, monkeypatch):
         monkeypatch.setattr(wn, "library", lambda: None)
 
 
+@pytest.mark.deep
 def test_turns_are_those_of_all_triangles(each_way):
     """Two balls that overlap, and a smaller one within, wound inward: 0, 1 and 2 turns."""
     hollow = ball(radius=0.04, subdivisions=2)
@@ -117,6 +118,7 @@ def test_sums_over_clusters_are_near_integers():
     assert np.abs(total - np.sum(np.less(height, 0.0), axis=0))[clear].max() < 0.03
 
 
+@pytest.mark.deep
 def test_winding_numbers_of_many_nested_surfaces():
     """48 spheres 0.1 mm apart: errors of the clusters add up, and all triangles are summed."""
     mesh = trimesh.util.concatenate(
@@ -142,6 +144,7 @@ def test_holes_of_a_body_are_closed_and_a_sheet_reaches_far(each_way):
     np.testing.assert_array_equal(dome.at(np.array(points)), [1, 1, 0, 0, 0])
 
 
+@pytest.mark.deep
 @pytest.mark.skipif(codegen.find_compiler() is None, reason="no C compiler here")
 def test_far_borders_count_by_their_loops():
     """A ball cut into panels that face either way: a sheet of many loops, each extruded."""
@@ -160,6 +163,7 @@ def test_far_borders_count_by_their_loops():
     np.testing.assert_allclose(total, exact, atol=0.03)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("turned", [False, True])
 def test_panels_of_a_link_do_not_put_each_other_inside(tmp_path, turned):
     """A ball whose lid is a part of its own, and a rib that runs through it: signs as of a ball.
@@ -238,6 +242,7 @@ def around(mesh, reach, count, seed=0):
     return places + rng.uniform(-reach, reach, size=(count, 3))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("hole", [False, True])
 def test_parts_that_run_into_each_other_have_one_inside(tmp_path, hole, turned):
@@ -276,6 +281,7 @@ def rolled(height, count=300):
     return curve, trimesh.Trimesh(vertices, faces, process=False)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("height", [0.012, -0.012])
 def test_a_sheet_that_runs_through_itself(tmp_path, height):
     """Signed crossings of a ray straight up tell how often the sheet winds about a point."""
@@ -296,6 +302,7 @@ def test_a_sheet_that_runs_through_itself(tmp_path, height):
     assert wrong(replace(body, crossed=None), points, turn > 0) > 20
 
 
+@pytest.mark.deep
 @needs_icub
 @pytest.mark.parametrize("part", ["l_forearm", "l_hand", "l_shank"])
 def test_links_of_a_robot_that_run_into_themselves(part):

@@ -69,6 +69,7 @@ def test_compiled_and_reference_search_agree(name):
         np.testing.assert_allclose(one, two, rtol=0, atol=1e-13)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "body",
     [
@@ -123,6 +124,7 @@ def test_the_nearest_flat_face_is_the_nearest(name):
     np.testing.assert_allclose(alone, flat.distance, rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.deep
 @needs_compiler
 @pytest.mark.parametrize("step", [8, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_sharp_search_looks_at_every_face_that_may_be_nearer(step):

@@ -50,6 +50,7 @@ def test_the_skin_of_a_smooth_body_is_its_offset_surface():
     assert "bridges 0 %" in skinned.repairs[-1]
 
 
+@pytest.mark.deep
 def test_a_ball_of_the_feature_size_fits_everywhere_and_sinks_into_a_pit_as_it_must(plate):
     skinned = plate.skinned(THICKNESS, FEATURE, resolution=0.7e-3)
     hit = skinned.closest(skinned.mesh.triangles_center)

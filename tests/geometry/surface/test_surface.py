@@ -166,6 +166,7 @@ def test_cylinder_of_5_thousand_faces():
     assert on_rim.any()
 
 
+@pytest.mark.deep
 def test_noise_lowers_the_degree_and_widens_the_rings():
     """10 um on every vertex of 20,480 faces: smoother than the noise; quartics alone gave 19 %."""
     radii = (0.1, 0.07, 0.05)
@@ -180,6 +181,7 @@ def test_noise_lowers_the_degree_and_widens_the_rings():
     assert rms(e.curvature) < 0.07
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", ["forearm", "wrist3", "base"])
 @needs_ur3e
 def test_no_query_ends_in_a_local_minimum(name):
