@@ -22,9 +22,10 @@ from ...recording.log_contacts import (
     joint_path,
     recording_of,
     typical_force,
+    without_noise,
 )
 from ...recording.recording import Recording
-from ...recording.skin_log import SkinLog
+from ...recording.skin_log import NOISY, SkinLog
 from ...robot.contact_kinematics import ContactKinematics, JointPath
 from ...scene.belief import RAW, Belief
 from ...scene.contact_motion import ContactMotion
@@ -59,6 +60,8 @@ CLOCK_FITS = 2
 """Fits of the clock and the heights in turn: the delays of joints do not change after the first."""
 HEIGHT_FITS = 2
 """Fits of the heights, each with depths at the contacts of the last one: depths change little."""
+TOO_NOISY = f"noise at rest is more than {NOISY:g} times that of most taxels: repair or exchange it"
+"""Reason of a taxel whose readings are left out."""
 
 
 def calibrate_log(
@@ -73,9 +76,10 @@ def calibrate_log(
     the log has counts. Forces are the log's, else the reference force at every contact, whose
     errors the learned response estimates. The believed noise of a reading is the least: the joint
     angles have some, too, by which contacts scatter. progress: as of `calibrate`, in each round.
-    An estimate that does not converge gives the verdict FAIL, no taxel, and what the heights tell
-    of the robot. Raises RecordingError for a log without contacts or without a joint of the chain,
-    CalibrationError where the heights do not converge, and otherwise as `calibrate`.
+    Taxels that are far noisier than others are left out. An estimate that does not converge gives
+    the verdict FAIL, no taxel, and what the heights tell of the robot. Raises RecordingError for a
+    log without contacts or without a joint of the chain, CalibrationError where the heights do not
+    converge, and otherwise as `calibrate`.
     """
     check_type(SkinLog, log, "what is calibrated")
     check_type(ContactKinematics, kinematics, "kinematics of a log")
@@ -89,6 +93,7 @@ def calibrate_log(
         )
     if belief.force_reference is None:
         belief = replace(belief, force_reference=typical_force(log))
+    log, noisy = without_noise(log)
     last, rounds, failure = _last_round(log, kinematics, path, belief, progress)
     heights, x, clock = last.heights, last.x, last.clock
     kinematics, as_believed = heights.model, np.zeros(len(x))
@@ -99,6 +104,8 @@ def calibrate_log(
     by_joint = joint_residuals(kinematics, heights.path, heights.time, belief.body, after, x[:-3])
     change = last.change if last.shift > APART else 0.0
     found = widened(with_clock(last.found, clock), last.recording, change)
+    left_out = np.isin(found.ids, log.taxel_ids[noisy]) & ~np.isfinite(found.position_sigma)
+    found = replace(found, reasons=np.where(left_out, TOO_NOISY, found.reasons))
     result = LogCalibration(
         found, last.recording, kinematics, after, before, rounds, last.unrest, factor, by_joint,
         failure,

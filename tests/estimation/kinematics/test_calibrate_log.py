@@ -187,15 +187,21 @@ def test_a_round_that_fails_is_an_error_where_none_before_holds(monkeypatch, bef
 
 
 def test_an_estimate_that_does_not_converge_fails_with_what_the_heights_tell(small, monkeypatch):
-    """Every estimate counts as one that has steps left."""
+    """Every estimate counts as one that has steps left. A taxel that is far noisier than others has
+    no readings."""
+    log, taxel = small.log, int(small.log.taxel_ids[3])
+    log = replace(log, noise=log.noise * np.where(log.taxel_ids == taxel, 20.0, 1.0))
     monkeypatch.setattr("meshskin.estimation.learned.estimate.MAX_DECREASE", -1.0)
     with pytest.warns(LeftOutWarning, match="the estimate did not converge"):
-        found = calibrate_log(small.log, small.kinematics(**KNOWN), belief(small))
+        found = calibrate_log(log, small.kinematics(**KNOWN), belief(small))
     calibration = found.calibration
+    noisy = calibration.ids == taxel
+    assert calibration.reasons[noisy] == [log_module.TOO_NOISY]
+    assert not calibration.readings[noisy].any()
     assert calibration.verdict.level == "FAIL"
     assert "did not converge, got steps still decrease" in calibration.verdict.reasons[0]
     assert np.isnan(calibration.poses).all()
-    assert calibration.touched.all()
+    assert calibration.touched[~noisy].all()
     assert found.contradictions == ()
     value, sigma = found.unknowns["clock_offset"]
     assert abs(value - small.truth("clock_offset")) < 4 * sigma
