@@ -109,6 +109,10 @@ class CalibrationError(MeshskinError):
     """Data that do not determine the requested quantities."""
 
 
+class UnconvergedError(CalibrationError):
+    """An estimate whose steps do not come to an end at an optimum."""
+
+
 class GraphError(MeshskinError):
     """A pose graph that cannot be read or solved."""
 

@@ -1,14 +1,18 @@
-"""Recordings that cannot calibrate a skin, whatever their size: the failure as a result.
+"""Recordings that do not calibrate a skin: the failure as a result.
 
-A robot that reports skin contacts (skinContactList of YARP) computes each contact point from the
-taxels that answer and its own map of them. A calibration by these points would only return that
-map. What such a recording does show is which taxels answer, and how often.
+Some cannot, whatever their size. A robot that reports skin contacts (skinContactList of YARP)
+computes each contact point from the taxels that answer and its own map of them. A calibration by
+these points would only return that map. What such a recording does show is which taxels answer, and
+how often.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from ..core.errors import CalibrationError
 from ..recording.recording import Recording
 from ..scene.belief import Belief
 from .calibration import Calibration, provenance_of
@@ -19,12 +23,22 @@ OFF = 5e-3
 skins of robots are thinner."""
 CIRCULAR = "contact points that were computed from the map that is sought"
 """Reason of every taxel."""
+UNCONVERGED = "the estimate did not converge"
+"""Reason of every taxel of such an estimate."""
 UNTOUCHED = "no answer while the skin had a single contact"
 """Reason of a taxel without readings."""
 
 
 def uncalibrated(recording: Recording, belief: Belief) -> Calibration:
-    """The calibration of no taxel, with the readings of each and a verdict of FAIL."""
+    """The calibration by contact points that the robot computed from its own taxels."""
+    found = of_no_taxel(
+        recording, belief, CIRCULAR, "none: the contact points are the robot's own map"
+    )
+    return replace(found, verdict=Verdict(FAIL, _reasons(recording, found.readings, belief)))
+
+
+def of_no_taxel(recording: Recording, belief: Belief, reason: str, anchor: str) -> Calibration:
+    """The calibration of no taxel for a reason, with the readings of each."""
     ids = np.asarray(belief.taxel_ids)
     ids = ids if len(ids) else np.unique(recording.reading_taxel)
     answered = recording.pressure > 0
@@ -41,12 +55,28 @@ def uncalibrated(recording: Recording, belief: Belief) -> Calibration:
         touched=touched,
         readings=readings,
         method="none",
-        anchor="none: the contact points are the robot's own map",
+        anchor=anchor,
         factors=(),
         chi2=np.full(n, np.nan),
-        reasons=np.where(touched, CIRCULAR, UNTOUCHED).astype(object),
-        verdict=Verdict(FAIL, _reasons(recording, readings, belief)),
+        reasons=np.where(touched, reason, UNTOUCHED).astype(object),
         provenance=provenance_of("none", recording),
+    )
+
+
+def unconverged(recording: Recording, belief: Belief, error: CalibrationError) -> Calibration:
+    """The calibration by an estimate that did not converge: no taxel, and the unknowns of a contact
+    motion as they were before the readings."""
+    motion, unknowns = belief.contact_motion, {}
+    if motion is not None:
+        sigma = np.linalg.norm(motion.root, axis=1)
+        known = zip(motion.labels, motion.mean, sigma, strict=True)
+        unknowns = {label: (float(value), float(s)) for label, value, s in known}
+    return replace(
+        of_no_taxel(recording, belief, UNCONVERGED, "none: no estimate"),
+        belief=belief,
+        frame=belief.body.frame,
+        unknowns=unknowns,
+        verdict=Verdict(FAIL, (f"no taxel is determined: {error}",)),
     )
 
 

@@ -22,8 +22,6 @@ from .tare import thresholds
 SAME_CONTACT = 2e-3
 """Distance, m, up to which successive contacts within a frame of the skin are one that moves: that
 of a stroke of 200 mm/s at 100 Hz; two indenters are farther apart."""
-NOISY = 3.0
-"""Noise of a taxel, in that of the median one, from which it has a threshold of its own."""
 
 
 def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recording:
@@ -95,7 +93,7 @@ def _readings(
     out; None for raw ones, which are all kept.
 
     It is one for all taxels, that of the noisiest, as an estimate takes it. Below that of their own
-    noise, readings of taxels that are noisier than NOISY others are missing, not silences.
+    noise, readings of noisy taxels are missing, not silences.
     """
     given = frames.skin_log
     pascals = {stream.unit in ("Pa", "kPa") for stream in log_map.of(TAXELS)}
@@ -108,7 +106,7 @@ def _readings(
     kept = np.isfinite(values)
     if pascals.pop():
         own = thresholds(1, len(given.taxel_ids))[1] * given.noise
-        usual = own <= NOISY * np.median(own[own > 0])
+        usual = ~given.noisy
         threshold = float(own[usual].max())
         kept &= values > np.maximum(own, threshold)
         values = np.where(kept | usual, values, np.nan)

@@ -30,6 +30,10 @@ MAX_MISSING = 0.2
 """Largest share of the taxels whose readings a frame in contact lacks: a frame with fewer is no
 contact."""
 
+MAX_NOISE = 0.02
+"""Noise of a noisy taxel, relative to its largest reading, from which its readings are left out:
+twice the noise that is believed of readings where none is known."""
+
 
 def joint_path(log: SkinLog, joint_names: tuple[str, ...]) -> JointPath:
     """The path of the joints `joint_names` in a log, by the frames that have them all.
@@ -103,6 +107,14 @@ def _check_forces(force: Array, in_contact: np.ndarray) -> None:
             limit=f"its noise, {noise:.3g} N",
             remedy="check the wrench's axis in the map, and its clock, or leave the wrench out",
         )
+
+
+def without_noise(log: SkinLog) -> tuple[SkinLog, np.ndarray]:
+    """The log without the readings of taxels whose noise is large against that of others and
+    against their readings, and these taxels (t,) bool: an estimate has one noise for all."""
+    peak = np.max(log.readings, axis=0, where=np.isfinite(log.readings), initial=0.0)
+    noisy = log.noisy & (log.noise > MAX_NOISE * peak)
+    return replace(log, readings=np.where(noisy, np.nan, log.readings)), noisy
 
 
 def typical_force(log: SkinLog) -> float:

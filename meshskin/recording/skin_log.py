@@ -18,6 +18,8 @@ from ..core.value import Value
 
 MOSTLY_SILENT = 0.5
 """Share of the frames without a reading from which a taxel is recorded only where it answers."""
+NOISY = 3.0
+"""Noise of a taxel, in that of the median one, from which it is noisy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +100,12 @@ class SkinLog(Value):
         silences."""
         lost = np.isnan(self.readings)
         return np.asarray(lost & (lost.mean(axis=0) < MOSTLY_SILENT))
+
+    @property
+    def noisy(self) -> NDArray[np.bool_]:
+        """Taxels (t,) that are noisier than NOISY others."""
+        usual = np.median(self.noise[self.noise > 0]) if self.noise.any() else np.inf
+        return np.asarray(self.noise > NOISY * usual)
 
     @cached_property
     def contacts(self) -> list[slice]:

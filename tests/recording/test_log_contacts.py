@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from meshskin.core.errors import RecordingError
-from meshskin.recording.log_contacts import at_clock, contact_frames, joint_path, recording_of
+from meshskin.recording.log_contacts import (
+    at_clock,
+    contact_frames,
+    joint_path,
+    recording_of,
+    without_noise,
+)
 from meshskin.recording.skin_log import SkinLog
 
 
@@ -145,3 +151,18 @@ def test_a_path_has_no_angles_in_gaps_of_a_joint(log):
     angles[1:, 1] = np.nan
     with pytest.raises(RecordingError, match="check the joint wrist, which has fewest"):
         joint_path(replace(longer, joint_angles=angles), ("elbow", "wrist"))
+
+
+def test_readings_of_taxels_that_are_far_noisier_than_others_are_left_out(log):
+    """Not where the noise is small against the readings, or that of all taxels."""
+    readings, ids = np.ones((len(log.time), 5)) * [100.0, 100.0, 100.0, 900.0, 100.0], np.arange(5)
+    for noise, expected in (
+        ([1.0, 1.0, 1.0, 5.0, 5.0], [0, 0, 0, 0, 1]),
+        ([1.0, 1.0, 1.0, 20.0, 0.0], [0, 0, 0, 1, 0]),
+        ([5.0, 5.0, 5.0, 5.0, 5.0], [0, 0, 0, 0, 0]),
+        ([0.0, 0.0, 0.0, 0.0, 0.0], [0, 0, 0, 0, 0]),
+    ):
+        given = replace(log, taxel_ids=ids, readings=readings, noise=np.array(noise))
+        kept, noisy = without_noise(given)
+        np.testing.assert_array_equal(noisy, expected)
+        np.testing.assert_array_equal(np.isnan(kept.readings).all(axis=0), expected)

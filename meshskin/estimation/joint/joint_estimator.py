@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.arrays import Array
-from ...core.errors import CalibrationError
+from ...core.errors import UnconvergedError
 from ...core.progress import Stage
 from ..data.measurements import Measurements
 from ..data.pairs import REACH_MARGIN
@@ -263,7 +263,7 @@ class JointEstimator:
         limit = max(least, 100 * self.tolerance)
         if not reduced.decrement < limit:
             more = "; raise the iteration limit, calibrate(iterations=...)"
-            raise CalibrationError(
+            raise UnconvergedError(
                 "the joint estimate did not converge",
                 value=f"Newton decrement {reduced.decrement:.3g}, {status}",
                 limit=limit,

@@ -14,18 +14,18 @@ import numpy as np
 
 from ...core.arguments import check_type
 from ...core.arrays import Array
-from ...core.errors import CalibrationError, RecordingError, warn_left_out
+from ...core.errors import CalibrationError, RecordingError, UnconvergedError, warn_left_out
 from ...core.progress import Progress
-from ...geometry.body import Body
 from ...recording.log_contacts import (
     at_clock,
     contact_frames,
     joint_path,
     recording_of,
     typical_force,
+    without_noise,
 )
 from ...recording.recording import Recording
-from ...recording.skin_log import SkinLog
+from ...recording.skin_log import NOISY, SkinLog
 from ...robot.contact_kinematics import ContactKinematics, JointPath
 from ...scene.belief import RAW, Belief
 from ...scene.contact_motion import ContactMotion
@@ -33,7 +33,9 @@ from ..calibrate import Estimation
 from ..calibration import Calibration
 from ..data.patch_shape import fitting, over_patches
 from ..learned.start import Former
+from ..uncalibrated import unconverged
 from .clock import first_offset
+from .corrected import corrected, with_clock
 from .heights import Heights, closest_at_scale, depths, timed_by_the_fastest
 from .joint_residuals import joint_residuals
 from .log_calibration import AT_REST, LogCalibration
@@ -58,6 +60,8 @@ CLOCK_FITS = 2
 """Fits of the clock and the heights in turn: the delays of joints do not change after the first."""
 HEIGHT_FITS = 2
 """Fits of the heights, each with depths at the contacts of the last one: depths change little."""
+TOO_NOISY = f"noise at rest is more than {NOISY:g} times that of most taxels: repair or exchange it"
+"""Reason of a taxel whose readings are left out."""
 
 
 def calibrate_log(
@@ -72,8 +76,10 @@ def calibrate_log(
     the log has counts. Forces are the log's, else the reference force at every contact, whose
     errors the learned response estimates. The believed noise of a reading is the least: the joint
     angles have some, too, by which contacts scatter. progress: as of `calibrate`, in each round.
-    Raises RecordingError for a log without contacts or without a joint of the chain,
-    CalibrationError where the heights do not converge, and as `calibrate`.
+    Taxels that are far noisier than others are left out. An estimate that does not converge gives
+    the verdict FAIL, no taxel, and what the heights tell of the robot. Raises RecordingError for a
+    log without contacts or without a joint of the chain, CalibrationError where the heights do not
+    converge, and otherwise as `calibrate`.
     """
     check_type(SkinLog, log, "what is calibrated")
     check_type(ContactKinematics, kinematics, "kinematics of a log")
@@ -87,6 +93,7 @@ def calibrate_log(
         )
     if belief.force_reference is None:
         belief = replace(belief, force_reference=typical_force(log))
+    log, noisy = without_noise(log)
     last, rounds, failure = _last_round(log, kinematics, path, belief, progress)
     heights, x, clock = last.heights, last.x, last.clock
     kinematics, as_believed = heights.model, np.zeros(len(x))
@@ -95,11 +102,14 @@ def calibrate_log(
     before = heights.residuals(as_believed)[0]
     after, factor = heights.residuals(x)[0], float(np.exp(x[-3]))
     by_joint = joint_residuals(kinematics, heights.path, heights.time, belief.body, after, x[:-3])
-    found = widened(_with_clock(last.found, clock), last.recording)
-    moved = last.moved if last.moved > LINEAR else last.shift if last.shift > APART else 0.0
+    change = last.change if last.shift > APART else 0.0
+    found = widened(with_clock(last.found, clock), last.recording, change)
+    left_out = np.isin(found.ids, log.taxel_ids[noisy]) & ~np.isfinite(found.position_sigma)
+    found = replace(found, reasons=np.where(left_out, TOO_NOISY, found.reasons))
     result = LogCalibration(
-        found, last.recording, kinematics, after, before, rounds, moved, factor, by_joint, failure
-    )
+        found, last.recording, kinematics, after, before, rounds, last.unrest, factor, by_joint,
+        failure,
+    )  # fmt: skip
     verdict = None if found.verdict is None else found.verdict.with_doubts(result.contradictions)
     warn_left_out("calibrated", found.reasons_left_out, len(found.ids))
     return replace(result, calibration=replace(found, verdict=verdict))
@@ -122,10 +132,17 @@ class _Round:
     """Its part, m, that the linear table does not have."""
     former: Former | None = None
     """The estimate, if another one can begin from it."""
+    change: Array | float = 0.0
+    """Change (K,) of the unknowns in the round."""
+
+    @property
+    def unrest(self) -> float:
+        """Displacement, m, that makes another round necessary; 0 where none does."""
+        return max(self.moved * (self.moved > LINEAR), self.shift * (self.shift > APART))
 
     @property
     def at_rest(self) -> bool:
-        """Whether that part is small against the standard deviations of the taxels."""
+        """Whether `moved` is small against the standard deviations of the taxels."""
         sigma = self.found.position_sigma
         known = sigma[np.isfinite(sigma)]
         return bool(len(known) and self.moved <= AT_REST * np.median(known))
@@ -142,7 +159,8 @@ def _last_round(
 
     A later round begins from other contacts, from which the estimate may fail. What was found
     before then holds, if it displaces its contacts linearly, on the clock that they were chosen on.
-    Raises CalibrationError where no such round is estimated.
+    Where none does, and the estimate does not converge, the round has no taxel. Raises
+    CalibrationError for other reasons why no round is estimated.
     """
     used, clock, heights, x = _started(log, kinematics, path, belief)
     rounds, moved, shift = 0, np.inf, np.inf
@@ -164,9 +182,11 @@ def _last_round(
                 if abs(clock - before) <= abs(late) / 2:
                     x = heights.with_surface(s)
         except CalibrationError as error:
-            if last is None or not last.at_rest:
+            if last is not None and last.at_rest:
+                return last, max(rounds, 1), str(error)
+            if not isinstance(error, UnconvergedError):
                 raise
-            return last, max(rounds, 1), str(error)
+            return _unestimated(used, heights, x, clock, known, error), rounds + 1, ""
     assert last is not None
     return last, rounds, ""
 
@@ -183,6 +203,34 @@ def _estimated(
     """The round with the contacts at x (K + 3,). former: the estimate of the round before, if this
     one can begin from it."""
     kinematics, path, time, s = heights.model, heights.path, heights.time, x[:-3]
+    estimation = _estimation(log, heights, x, belief, former)
+    found = estimation.calibrate(progress=progress)
+    values = np.array([found.unknowns[label][0] for label in kinematics.labels])
+    centres, slopes = kinematics.centres(path, time, s)
+    shift = kinematics.centres(path, time, values)[0] - centres
+    moved = shift - slopes @ (values - s)
+    apart, left = (float(np.median(np.linalg.norm(part, axis=1))) for part in (shift, moved))
+    x = heights.with_surface(values)
+    former, change = estimation.last, values - s
+    return _Round(found, estimation.recording, heights, x, clock, apart, left, former, change)
+
+
+def _unestimated(
+    log: SkinLog, heights: Heights, x: Array, clock: float, belief: Belief, error: CalibrationError
+) -> _Round:
+    """The round whose estimate does not converge: no taxel, and the unknowns by the heights."""
+    estimation = _estimation(log, heights, x, belief)
+    recording, motion = estimation.recording, estimation.belief.contact_motion
+    assert motion is not None
+    found = unconverged(recording, estimation.belief, error)
+    return _Round(found, recording, heights, np.append(motion.mean, x[-3:]), clock, 0.0, 0.0)
+
+
+def _estimation(
+    log: SkinLog, heights: Heights, x: Array, belief: Belief, former: Former | None = None
+) -> Estimation:
+    """The estimators on the contacts at x (K + 3,)."""
+    kinematics, path, time, s = heights.model, heights.path, heights.time, x[:-3]
     linear = heights.linearized(x)
     centres, slopes = kinematics.centres(path, time, s)
     u = np.linalg.pinv(linear.root) @ (s - linear.mean)
@@ -191,14 +239,7 @@ def _estimated(
     off = scale * hit.point + linear.residuals[:, None] * hit.normal
     frames, force = np.arange(len(log.time)), _forces(log, belief)
     recording = recording_of(log, frames, off, hit.normal, force, belief.readings)
-    estimation = Estimation(recording, _corrected(belief, kinematics, s, motion), former=former)
-    found = estimation.calibrate(progress=progress)
-    values = np.array([found.unknowns[label][0] for label in kinematics.labels])
-    shift = kinematics.centres(path, time, values)[0] - centres
-    moved = shift - slopes @ (values - s)
-    apart, left = (float(np.median(np.linalg.norm(part, axis=1))) for part in (shift, moved))
-    x = heights.with_surface(values)
-    return _Round(found, recording, heights, x, clock, apart, left, estimation.last)
+    return Estimation(recording, corrected(belief, kinematics, s, motion), former=former)
 
 
 def _clock_error(found: Calibration, log: SkinLog, shift: float) -> float:
@@ -213,21 +254,6 @@ def _exceeds(found: Calibration, noise: float | None) -> bool:
     """Whether readings of neighbouring contacts differ by more than the believed noise, Pa, or none
     is believed: contacts scatter with the noise of the joint angles, and the readings with them."""
     return noise is None or (found.fit is not None and found.fit.noise > noise)
-
-
-def _with_clock(found: Calibration, clock: float) -> Calibration:
-    """The calibration with the offset of the clocks, s, that its contacts were moved by before: the
-    table of its belief is about that offset, too."""
-    if not clock:
-        return found
-    name, belief = "clock_offset", found.belief
-    assert belief is not None
-    assert belief.contact_motion is not None
-    value, sigma = found.unknowns[name]
-    motion = belief.contact_motion
-    mean = motion.mean + clock * (np.array(motion.labels) == name)
-    belief = replace(belief, contact_motion=replace(motion, mean=mean))
-    return replace(found, belief=belief, unknowns={**found.unknowns, name: (value + clock, sigma)})
 
 
 def _started(
@@ -305,24 +331,3 @@ def _heights(
         )
         x = heights.fit(x)
     return heights, x
-
-
-def _corrected(
-    belief: Belief, kinematics: ContactKinematics, s: Array, motion: ContactMotion
-) -> Belief:
-    """The belief with the body's scale and the indenter's radius of s (K,), and its motion."""
-    scale = float(np.exp(kinematics.value("mesh_scale", s)))
-    radius = belief.indenter.radius + kinematics.value("indenter_radius", s)
-    return replace(
-        belief,
-        body=belief.body if scale == 1.0 else _scaled(belief.body, scale),
-        indenter=replace(belief.indenter, radius=radius),
-        contact_motion=motion,
-    )
-
-
-def _scaled(body: Body, scale: float) -> Body:
-    """The body with its mesh scaled about the origin of its frame."""
-    mesh = body.mesh.copy()
-    mesh.apply_scale(scale)
-    return replace(body, mesh=mesh, exact=None, robot_mesh=None)

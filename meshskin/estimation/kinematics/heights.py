@@ -222,11 +222,12 @@ class Heights:
         """Precisions (m,), 1/m^2, of the heights with residuals r (m,) and derivatives `jacobian`
         (m, K + 3), and their design effect, by which these are divided.
 
-        Residuals are alike in a cell of the body by errors of its surface, and in a stroke by its
-        force. The fit takes up as many strokes as it determines unknowns.
+        Residuals are alike in a cell of the body, as wide as a face, by errors of its surface, and
+        in a stroke by its force. The fit takes up as many strokes as it determines unknowns.
         """
         weight, strokes = huber_weights(r, _scatter(r)), self._strokes
-        alike = max(design_effect(group, weight * r) for group in (cells(points), strokes))
+        groups = cells(points, self.mesh_error.cell), strokes
+        alike = max(design_effect(group, weight * r) for group in groups)
         if free := self._free_strokes(weight, jacobian):
             count = int(strokes.max()) + 1
             alike = max(alike, design_effect(strokes, weight * r) * count / free)

@@ -6,7 +6,8 @@ s0 (K,) and C (K, K) are the unknowns by the heights of the contacts and by what
 them. The readings may move the contacts along the body, as errors of forces and of the skin's
 response that are alike over it look like such a motion. Where the pull is larger than chance
 explains, no data tell which of the two is right: d is an error of the unknowns, and displaces all
-taxels. Its share in their variances rises from 0 at a pull of USUAL to 1 at CONTRADICTED.
+taxels. Its share in their variances rises from 0 at a pull of USUAL to 1 at CONTRADICTED. The last
+change of unknowns that do not come to rest displaces them likewise.
 """
 
 from __future__ import annotations
@@ -49,17 +50,26 @@ def contradicted(calibration: Calibration) -> tuple[str, ...]:
     )
 
 
-def widened(calibration: Calibration, recording: Recording) -> Calibration:
+def widened(
+    calibration: Calibration, recording: Recording, change: Array | float = 0.0
+) -> Calibration:
     """The calibration of a recording with the outer products of d, and of the displacements of the
-    taxels by d, added to the variances by their share; as it is up to a pull of USUAL.
+    taxels by d, added to the variances by their share, which is none up to a pull of USUAL; and
+    those of the last `change` (K,) of the unknowns as a whole."""
+    d, before = pulls(calibration)
+    share = np.clip((np.max(np.abs(d) / before) - USUAL) / (CONTRADICTED - USUAL), 0.0, 1.0)
+    for error in (np.sqrt(share) * d, change * np.ones(len(d))):
+        if error.any():
+            calibration = _widened_by(calibration, recording, error)
+    return calibration
+
+
+def _widened_by(calibration: Calibration, recording: Recording, d: Array) -> Calibration:
+    """The calibration with the outer products of an error d (K,) of the unknowns, and of the
+    displacements of the taxels by it, added to the variances.
 
     A taxel is displaced as its contacts are in the mean, weighted by its readings.
     """
-    d, before = pulls(calibration)
-    share = np.clip((np.max(np.abs(d) / before) - USUAL) / (CONTRADICTED - USUAL), 0.0, 1.0)
-    if not share:
-        return calibration
-    d = d * np.sqrt(share)
     motion, row = _motion(calibration), {taxel: k for k, taxel in enumerate(calibration.ids)}
     own = np.array([row.get(taxel, -1) for taxel in recording.reading_taxel])
     use = (own >= 0) & (recording.pressure > 0)

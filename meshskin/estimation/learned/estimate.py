@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ...core.arrays import Array
-from ...core.errors import CalibrationError
+from ...core.errors import CalibrationError, UnconvergedError
 from ...core.progress import Stage
 from ...scene.belief import RAW, Belief
 from ..data.global_parameters import (
@@ -107,8 +107,8 @@ def _estimate(
         raise _unconverged(f"its normal equations are singular: {error}", data.belief) from error
 
 
-def _unconverged(value: str, belief: Belief) -> CalibrationError:
-    return CalibrationError(
+def _unconverged(value: str, belief: Belief) -> UnconvergedError:
+    return UnconvergedError(
         "the estimate with a learned response did not converge",
         value=value,
         remedy="record more contacts with different forces"

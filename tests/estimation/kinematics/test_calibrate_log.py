@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.core.errors import CalibrationError, ConfigError, RecordingError
+from meshskin.core.errors import CalibrationError, ConfigError, LeftOutWarning, RecordingError
 from meshskin.estimation.calibrate import Estimation, calibrate
 from meshskin.estimation.kinematics import calibrate_log as log_module
 from meshskin.estimation.kinematics.calibrate_log import calibrate_log
@@ -184,10 +184,39 @@ def test_a_round_that_fails_leaves_the_one_before(monkeypatch):
     assert (last.x, rounds, failure) == (1e-6, 2, "")
 
 
+def test_the_larger_displacement_is_that_of_a_round_that_is_not_at_rest():
+    for moved, shift, expected in ((4e-6, 6e-4, 6e-4), (4e-6, 1e-5, 4e-6), (1e-6, 1e-5, 0.0)):
+        last = log_module._Round(None, None, None, None, 0.0, shift, moved)
+        assert last.unrest == expected
+
+
 @pytest.mark.parametrize("before", [[], [1e-3]])
 def test_a_round_that_fails_is_an_error_where_none_before_holds(monkeypatch, before):
     with pytest.raises(CalibrationError, match="no end"):
         rounds_that(monkeypatch, *before, CalibrationError("no end"))
+
+
+def test_an_estimate_that_does_not_converge_fails_with_what_the_heights_tell(small, monkeypatch):
+    """Every estimate counts as one that has steps left. A taxel that is far noisier than others has
+    no readings."""
+    log, taxel = small.log, int(small.log.taxel_ids[3])
+    log = replace(log, noise=log.noise * np.where(log.taxel_ids == taxel, 20.0, 1.0))
+    monkeypatch.setattr("meshskin.estimation.learned.estimate.MAX_DECREASE", -1.0)
+    with pytest.warns(LeftOutWarning, match="the estimate did not converge"):
+        found = calibrate_log(log, small.kinematics(**KNOWN), belief(small))
+    calibration = found.calibration
+    noisy = calibration.ids == taxel
+    assert calibration.reasons[noisy] == [log_module.TOO_NOISY]
+    assert not calibration.readings[noisy].any()
+    assert calibration.verdict.level == "FAIL"
+    assert "did not converge, got steps still decrease" in calibration.verdict.reasons[0]
+    assert np.isnan(calibration.poses).all()
+    assert calibration.touched[~noisy].all()
+    assert found.contradictions == ()
+    value, sigma = found.unknowns["clock_offset"]
+    assert abs(value - small.truth("clock_offset")) < 4 * sigma
+    for label, (value, sigma) in found.unknowns.items():
+        assert abs(value - small.truth(label)) < 4 * sigma, label
 
 
 @pytest.mark.slow

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.estimation.kinematics import calibrate_log
 from meshskin.estimation.kinematics.clock import first_offset
+from meshskin.estimation.kinematics.corrected import with_clock
 from meshskin.robot.contact_kinematics import JointPath
 from meshskin.scene.contact_motion import ContactMotion
 
@@ -32,7 +32,7 @@ def test_the_contacts_of_a_calibration_stay_where_its_own_unknowns_put_them():
         taxel_ids=[1], contact_motion=motion,
     )  # fmt: skip
     found = Found({"joint_offset a": (0.013, 1e-3), "clock_offset": (0.004, 2e-4)}, belief)
-    moved = calibrate_log._with_clock(found, 0.037)
+    moved = with_clock(found, 0.037)
     assert moved.unknowns["clock_offset"] == pytest.approx((0.041, 2e-4))
 
     def within_the_table(calibration):
@@ -41,7 +41,7 @@ def test_the_contacts_of_a_calibration_stay_where_its_own_unknowns_put_them():
         return np.linalg.pinv(table.root) @ (stated - table.mean)
 
     np.testing.assert_allclose(within_the_table(moved), within_the_table(found), atol=1e-12)
-    assert calibrate_log._with_clock(found, 0.0) is found
+    assert with_clock(found, 0.0) is found
 
 
 class Sliding:

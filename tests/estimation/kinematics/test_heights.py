@@ -5,7 +5,9 @@ import pytest
 import trimesh
 
 import meshskin as ms
+from meshskin.estimation.data.registration import CELL, cells
 from meshskin.estimation.kinematics.heights import Heights
+from meshskin.estimation.kinematics.mesh_error import MeshError
 from meshskin.robot.contact_kinematics import JointPath
 
 RADIUS, DEPTH = 8e-3, 7e-4
@@ -93,3 +95,22 @@ def test_the_part_that_faces_are_below_the_smooth_surface_is_estimated():
     found = heights.fit()
     assert found[-1] == pytest.approx(1.0, abs=0.2)
     assert np.abs(z_scores(heights, truth)).max() < 4
+
+
+def test_contacts_on_a_face_share_its_error():
+    """Faces of 25 mm that are 0.1 mm off at random: in cells of 10 mm, as of dents, contacts on the
+    same face would count as several."""
+    errors, body = [], ms.Body.ellipsoid((0.09, 0.07, 0.05))
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        way = rng.normal(size=(300, 3)) * [1.0, 1.0, 0.4] + [0.0, 0.0, 1.0]
+        hit = body.closest(0.1 * way / np.linalg.norm(way, axis=1)[:, None])
+        off = RADIUS - DEPTH + 1e-4 * rng.normal(size=300)[cells(hit.point, 0.025)]
+        truth, time = np.array([1e-3, -2e-3, 2e-3]), np.arange(300.0)
+        path = JointPath(time, hit.point + off[:, None] * hit.normal - truth)
+        for cell in (CELL, 0.025):
+            known = body, RADIUS, np.full(300, DEPTH), MeshError(0.0, cell)
+            errors.append(z_scores(Heights(Moved(), path, time, *known), truth))
+    dents, faces = (np.sqrt(np.mean(np.square(errors[k::2]))) for k in range(2))
+    assert faces < 1.3
+    assert 1.3 * faces < dents, (faces, dents)

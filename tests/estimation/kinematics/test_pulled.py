@@ -91,3 +91,16 @@ def test_an_unknown_that_the_readings_move_further_displaces_the_taxels(world):
     more = wide.covariances[:, 3:5, 3:5] - found.covariances[:, 3:5, 3:5]
     turn = np.sqrt(np.trace(more, axis1=1, axis2=2))
     np.testing.assert_allclose(turn, size / np.linalg.norm(positions, axis=1), rtol=0.05, atol=1e-4)
+
+
+def test_unknowns_that_do_not_come_to_rest_displace_the_taxels_by_their_last_change(world):
+    """Whatever the heights leave to them: they move by the sum about the axis."""
+    found = turned(world, 0.0, 0.0)
+    change = np.array([0.03, -0.01])
+    wide = widened(found, world.recording, change)
+    added = wide.covariances[:, :3, :3] - found.covariances[:, :3, :3]
+    added = np.trace(added, axis1=1, axis2=2)
+    expected = np.linalg.norm(0.01 * found.positions @ hat(AXIS).T, axis=1)
+    np.testing.assert_allclose(np.sqrt(added), expected, rtol=0.05, atol=1e-4)
+    assert wide.unknowns["joint_offset b"][1] == pytest.approx(np.hypot(0.01, 1e-3))
+    assert widened(found, world.recording, 0.0 * change) is found
