@@ -20,7 +20,7 @@ from ...core.arrays import Array
 from .departures import FittedReadings
 from .electronics import FAR, NEXT, near_pairs, nearest
 from .pressure import OBSERVED
-from .small_effects import SmallEffects, most_likely
+from .small_effects import SmallEffects, most_likely, shared_effects
 
 ROUNDS, DAMPING, SETTLED = 300, 0.5, 1e-3
 """Largest number of rounds of the mean field, the part of a change that is made in each, and the
@@ -44,8 +44,7 @@ LEAST_SCORE = 2.5
 """Score, in standard deviations, of further shares from which taxels move: 0 to 1.4 in 92
 recordings without crosstalk, of 35 worlds."""
 LOST_SHARE = "a loss of the readings in proportion to the sum of all"
-LEAST_LOSS = 4.0
-"""Score, in standard deviations, from which it moves taxels, as of the lags (learned/lags.py)."""
+"""Name of this departure."""
 MIN_GAIN = 3.0
 """Least increase of the log-likelihood by the mixture over one share of all neighbours."""
 
@@ -123,16 +122,11 @@ def lost_share(fitted: FittedReadings) -> SmallEffects:
     as where a common supply sags. The part of a taxel's own reading is compression, which the
     response has; an error of the force would widen the patch, too."""
     level, contact = np.maximum(fitted.mu - fitted.offset, 0.0), fitted.readings.contact
-    total = np.bincount(contact, level * (fitted.readings.kind == OBSERVED))
-    others = total[contact] - level * (fitted.readings.kind == OBSERVED)
+    read = level * (fitted.readings.kind == OBSERVED)
+    total = np.bincount(contact, read)
+    others = total[contact] - read
     column = (level * others / max(float(np.median(total[total > 0])), TINY))[:, None]
-    slope, information = fitted.shared(column)
-    score, mean, covariance = most_likely(slope[None], information[None])
-    if score < LEAST_LOSS:
-        return SmallEffects.none(len(fitted.points), score)
-    moved = fitted.displaced(column)
-    across = moved @ covariance[0] @ np.swapaxes(moved, 1, 2)
-    return SmallEffects(score, moved @ mean[0], across)
+    return shared_effects(fitted, column, *fitted.shared(column))
 
 
 def leak_covariances(fitted: FittedReadings, share: float) -> Array:

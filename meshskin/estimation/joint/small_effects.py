@@ -16,10 +16,14 @@ of the American Statistical Association 83 (1988).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core.arrays import Array
+
+if TYPE_CHECKING:
+    from .departures import FittedReadings
 
 DEVIATIONS = np.geomspace(1e-3, 0.3, 25)
 """Standard deviations of the effects that are tried, shares of a reading: less displaces no taxel
@@ -28,6 +32,9 @@ between them the marginal likelihood is flat."""
 PARTS = 15
 """Numbers of blocks with effects that are tried, from half a block to all."""
 
+LEAST_SHARED = 4.0
+"""Score, in standard deviations, from which effects that all taxels share move these: of lags, 0 to
+2.2 in 92 recordings without lags, of 35 worlds; 4.3 to 9.8 with lags."""
 SINGULAR = 1e-9
 """Information, relative to the largest of its block, up to which there is none: by rounding."""
 
@@ -55,6 +62,20 @@ class SmallEffects:
     def none(cls, count: int, score: float = 0.0) -> SmallEffects:
         """None of `count` taxels."""
         return cls(score, np.zeros((count, 2)), np.zeros((count, 2, 2)))
+
+
+def shared_effects(
+    fitted: FittedReadings, columns: Array, slope: Array, information: Array
+) -> SmallEffects:
+    """Effects that all taxels share, with the derivatives `columns` (k, q) of the readings, and the
+    slope (q,) and information (q, q) of the logarithm of the likelihood; none up to
+    LEAST_SHARED."""
+    score, mean, covariance = most_likely(slope[None], information[None])
+    if score < LEAST_SHARED:
+        return SmallEffects.none(len(fitted.points), score)
+    moved = fitted.displaced(columns)
+    across = moved @ covariance[0] @ np.swapaxes(moved, 1, 2)
+    return SmallEffects(score, moved @ mean[0], across)
 
 
 def most_likely(slope: Array, information: Array) -> tuple[float, Array, Array]:

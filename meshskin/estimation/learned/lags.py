@@ -20,12 +20,9 @@ from ...core.arrays import Array
 from ..joint.departures import WIDTHS, FittedReadings
 from ..joint.electronics import WIDTH, Electronics
 from ..joint.held_lags import contact_leverages
-from ..joint.small_effects import SmallEffects, most_likely
+from ..joint.small_effects import SmallEffects, shared_effects
 
 LAGS = "lags of the readings with several time constants or widths"
-LEAST_SCORE = 4.0
-"""Score, in standard deviations, from which taxels move: 0 to 2.2 in 92 recordings without lags, of
-35 worlds; 3.7 where readings lack a part of the sum of all; 4.3 to 9.8 with lags."""
 MAX_LEVERAGE = 0.1
 """Mean leverage of the contacts' errors from which lags are not looked for: how well these errors
 are determined depends on the lags, which a likelihood at its mode leaves out. With 0.5 (counts of
@@ -43,12 +40,7 @@ def lags(
     columns = _columns(fitted)
     slope, information = fitted.shared(columns)
     slope = np.where(np.diag(information) > 0, slope + beyond_mode(_columns), 0.0)
-    score, mean, covariance = most_likely(slope[None], information[None])
-    if score < LEAST_SCORE:
-        return SmallEffects.none(len(fitted.points), score)
-    moved = fitted.displaced(columns)
-    across = moved @ covariance[0] @ np.swapaxes(moved, 1, 2)
-    return SmallEffects(score, moved @ mean[0], across)
+    return shared_effects(fitted, columns, slope, information)
 
 
 def _columns(fitted: FittedReadings) -> Array:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.joint.departures import TIMES, WIDTHS
-from meshskin.estimation.joint.small_effects import most_likely
+from meshskin.estimation.joint.small_effects import LEAST_SHARED, most_likely
 from meshskin.estimation.learned import lags as module
-from meshskin.estimation.learned.lags import LEAST_SCORE, contact_leverage, lags
+from meshskin.estimation.learned.lags import contact_leverage, lags
 
 READINGS, FAMILY = 400, len(TIMES) + len(WIDTHS)
 
@@ -87,11 +87,11 @@ def test_leverage_of_contacts():
 def test_chance_moves_no_taxel():
     found = [lags(Fitted(0.0, seed), at_the_mode) for seed in range(40)]
     assert not any(one.displacements.any() or one.covariances.any() for one in found)
-    assert max(one.score for one in found) < LEAST_SCORE
+    assert max(one.score for one in found) < LEAST_SHARED
 
 
 def test_what_the_errors_of_the_contacts_favour_is_no_lag():
     fitted = Fitted(0.02)
     slope, _ = fitted.shared(fitted.columns)
-    assert lags(fitted, lambda columns: -slope).score < LEAST_SCORE
-    assert lags(fitted, at_the_mode).score > LEAST_SCORE
+    assert lags(fitted, lambda columns: -slope).score < LEAST_SHARED
+    assert lags(fitted, at_the_mode).score > LEAST_SHARED
