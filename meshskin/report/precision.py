@@ -110,8 +110,10 @@ def label_points(
     """Write names next to points (n, 2), in data coordinates, over no point and no other name where
     there is room.
 
-    Names are on the right, or on the left, as near as there is room. size: of the font.
+    Names are on the right, or on the left, as near as there is room, with a line to their point:
+    another one may be nearer. size: of the font.
     """
+    from matplotlib.lines import Line2D
     from matplotlib.patheffects import withStroke
     from matplotlib.transforms import Bbox
 
@@ -140,6 +142,10 @@ def label_points(
             zorder=6,
             path_effects=[withStroke(linewidth=1.5, foreground="white")],
         )
+        end_of_name = (box.x1 if inwards else box.x0), box.y0 + 0.35 * size
+        scale = axes.figure.dpi / 72.0
+        led = axes.transData.inverted().transform(np.multiply([places[k], end_of_name], scale))
+        axes.add_line(Line2D(*led.T, lw=0.6, color=theme.INK, zorder=5))
 
 
 @theme.styled

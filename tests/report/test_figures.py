@@ -245,6 +245,20 @@ def test_names_of_settings_stay_in_their_axes(case: SimpleNamespace) -> None:
         assert text.get_window_extent().x0 >= left.bbox.x0 - 1.0
 
 
+def test_a_line_leads_from_each_name_to_its_point() -> None:
+    """Where points are close together, another one may be nearer."""
+    points = {"joint": (0.31, 2e-7), "centroid": (0.28, 1e-7), "trilateration": (0.3, 2.4e-7)}
+    names = {method_name(method): point for method, point in points.items()}
+    figure = precision.accuracy_time(points, {"load": 1.0})
+    figure.draw_without_rendering()
+    left = figure.axes[0]
+    for line, text in zip(left.lines[-3:], left.texts, strict=True):
+        place, end = line.get_xydata()
+        assert tuple(place) == pytest.approx(names[text.get_text()])
+        box = text.get_window_extent().padded(2.0)
+        assert box.contains(*left.transData.transform(end))
+
+
 def test_names_of_estimators_that_err_alike_do_not_overlap(case: SimpleNamespace) -> None:
     names = ("trilateration", "three_circles", "posegraph", "posegraph_paper")
     costs = case.costs(names, (0.4, 0.41, 0.42, 3.0), (1e-6,) * 4)
