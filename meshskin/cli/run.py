@@ -144,7 +144,7 @@ def _errors(m: dict[str, Any]) -> list[str]:
     ]
     if m["worse_than_centroid"]:
         worse = "; ".join(map(method_name, m["worse_than_centroid"]))
-        lines.append(row("worse than centroid", worse))
+        lines.append(row("baseline", f"the mean error of the centroid is below that of: {worse}"))
     return lines
 
 
