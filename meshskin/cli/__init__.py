@@ -141,9 +141,7 @@ def _parser(arguments: Sequence[str] = ()) -> argparse.ArgumentParser:
         module = import_module(f".{name}", __name__)
         title, _, description = str(module.__doc__).partition("\n\n")
         command = commands.add_parser(
-            name,
-            help=title.partition(": ")[2].rstrip("."),
-            description=description or None,
+            name, help=title.partition(": ")[2].rstrip("."), description=description or None
         )
         module.add(command)
         command.set_defaults(command=module.command, parser=command)

@@ -15,13 +15,7 @@ from ...core.arrays import Array
 from ...recording.recording import Recording
 from ..calibration import Calibration
 from ..data import delay
-from ..data.global_parameters import (
-    ELECTRONICS,
-    LEARNED,
-    PRIOR_SIGMAS,
-    SIZES,
-    declared_parameters,
-)
+from ..data.global_parameters import ELECTRONICS, LEARNED, PRIOR_SIGMAS, SIZES, declared_parameters
 from ..data.measurements import Measurements
 from ..data.patch_shape import MAX_EDGES
 from ..joint.departures import MIN_SCORE
