@@ -23,6 +23,7 @@ from ..learned.contact_correlations import MAX_CORRELATION
 from . import mounted_anew, recorded_normals, swapped_axes, verdict, weighted_means
 from .contact_errors import SURFACE_DEPTHS, displacement, nearer_points, on_surface
 from .goodness_of_fit import STRONG, undeclared
+from .unseen_motions import unseen_motions
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
 
 MAX_MISFIT = 0.05
@@ -83,7 +84,8 @@ def judge(
     )
     found = [finding for check in checks for finding in check()]
     found.sort(key=lambda finding: -LEVELS.index(finding[0]))
-    return Verdict(found[0][0] if found else PASS, tuple(words for _, words in found))
+    level, reasons = found[0][0] if found else PASS, tuple(words for _, words in found)
+    return Verdict(level, reasons, unseen_motions(data))
 
 
 def fails_by_itself(recording: Recording, data: Measurements) -> bool:

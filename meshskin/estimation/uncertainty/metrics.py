@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -126,7 +126,7 @@ def without_truth(calibration: Calibration, recording: Recording) -> dict[str, A
     """What metrics.json holds of every calibration; the digest is that of its recording."""
     response = calibration.response
     return {
-        "verdict": None if calibration.verdict is None else calibration.verdict.metrics(),
+        "verdict": None if calibration.verdict is None else asdict(calibration.verdict),
         "taxels": len(calibration.ids),
         "touched": int(calibration.touched.sum()),
         "contacts": len(recording.time),

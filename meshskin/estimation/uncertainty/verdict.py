@@ -4,8 +4,8 @@ checks the calibration.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 PASS, DOUBT, FAIL = LEVELS = ("PASS", "DOUBT", "FAIL")
 """Levels of a verdict: nothing was found; check before use; do not use."""
-Finding = tuple[str, str]
-"""A level and a sentence."""
+Finding = tuple[str, str]  # a level and a sentence
 MAX_SCALE = 1.6
 """Factor between the readings and the pressures of the contact model, as a learned response has it,
 from which it is a doubt. A layer of the thickness of the patch changes the peak by 1.3."""
@@ -82,18 +81,18 @@ class Verdict:
     """"PASS", "DOUBT" (check the reasons before use) or "FAIL" (do not use)."""
     reasons: tuple[str, ...] = ()
     """What was found, one sentence each with value, limit and next step; the gravest first."""
+    untested: tuple[str, ...] = ()
+    """Errors that the recording cannot show, in words: the verdict holds if there is none."""
 
     def with_doubts(self, reasons: tuple[str, ...]) -> Verdict:
         """This verdict with further reasons for doubt."""
         level = DOUBT if reasons and self.level == PASS else self.level
-        return Verdict(level, (*self.reasons, *reasons))
+        return replace(self, level=level, reasons=(*self.reasons, *reasons))
 
     def __str__(self) -> str:
-        return "\n".join([f"verdict: {self.level}", *(f"  - {words}" for words in self.reasons)])
-
-    def metrics(self) -> dict[str, Any]:
-        """Level and reasons as JSON values."""
-        return {"level": self.level, "reasons": list(self.reasons)}
+        marks = ("- ", self.reasons), ("not tested: ", self.untested)
+        notes = [f"  {mark}{words}" for mark, listed in marks for words in listed]
+        return "\n".join([f"verdict: {self.level}", *notes])
 
 
 def level_of(value: float, limits: tuple[float, float]) -> str:
