@@ -191,11 +191,7 @@ def _kept(times: Array, pairs: Pairs) -> NDArray[np.bool_]:
 
 
 def _interpolate(
-    out: NDArray[np.floating],
-    frames: Array,
-    stream: Stream,
-    given: StreamMap,
-    tared: Tared,
+    out: NDArray[np.floating], frames: Array, stream: Stream, given: StreamMap, tared: Tared
 ) -> None:
     """Write the readings of one skin at the frames to `out` (n, t); NaN in its gaps.
 

@@ -47,11 +47,7 @@ def summary_mm(errors: Array) -> dict[str, float]:
     e = 1e3 * errors[np.isfinite(errors)]
     if not len(e):
         return dict.fromkeys(("mean", "rms", "max"), float("nan"))
-    return {
-        "mean": float(e.mean()),
-        "rms": float(np.sqrt(np.mean(e**2))),
-        "max": float(e.max()),
-    }
+    return {"mean": float(e.mean()), "rms": float(np.sqrt(np.mean(e**2))), "max": float(e.max())}
 
 
 def nees(calibration: Calibration, skin: Skin) -> Array:
