@@ -11,6 +11,7 @@ import fnmatch
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from ...core.arguments import repr_short
+from ...core.arguments import REPR_LENGTH, repr_short
 from ...core.arrays import Array
 from ...core.errors import RecordingError, UnknownNameError
 from ..log_map import TIME_UNITS, StreamMap
@@ -147,7 +148,7 @@ def _time_columns(file: CsvFile | ParquetFile, asked: str) -> list[str]:
     count = "several columns that could be" if named else "no column of"
     raise RecordingError(
         f"{file.path.name} has {count} times",
-        value=", ".join(named or names)[:60],
+        value=shorten(", ".join(named or names), REPR_LENGTH, placeholder=" ..."),
         remedy="name it time, time_s or time_ms, or give its name as time in the map",
     )
 
