@@ -8,10 +8,9 @@ rotate with them, and the curvatures change, hence the patches. From where they 
 contacts move on a paraboloid, and the patches' sizes follow first-order gradients: a mesh's normals
 and curvatures change discontinuously from face to face.
 
-Under a learned response, patches keep their sizes where joints move the contacts: these are not
-located by how sizes vary over the body, which no known law gives. Errors of that would displace all
-contacts and taxels together, beyond the stated errors. Sizes are those of the contacts where they
-were linearized.
+Under a learned response, patches keep the sizes that they have there where joints move the contacts:
+no known law gives how sizes vary over the body, and an error of that would displace all contacts and
+taxels together, beyond the stated errors.
 """
 
 from __future__ import annotations
