@@ -8,9 +8,9 @@ rotate with them, and the curvatures change, hence the patches. From where they 
 contacts move on a paraboloid, and the patches' sizes follow first-order gradients: a mesh's normals
 and curvatures change discontinuously from face to face.
 
-Under a learned response, patches keep the sizes that they have there where joints move the contacts:
-no known law gives how sizes vary over the body, and an error of that would displace all contacts and
-taxels together, beyond the stated errors.
+Under a learned response, joints move the contacts without a change of the patches' sizes.
+No known law gives how sizes vary over the body, and an error of that would displace all contacts
+and taxels together, beyond the stated errors.
 """
 
 from __future__ import annotations
