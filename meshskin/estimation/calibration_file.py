@@ -109,9 +109,8 @@ def _values(table: pa.Table, header: dict[str, Any]) -> dict[str, Any]:
     if (fit := header.get("fit")) is not None:
         header["fit"] = GoodnessOfFit(**fit)
     if (verdict := header.get("verdict")) is not None:
-        header["verdict"] = Verdict(
-            **{name: tuple(x) if isinstance(x, list) else x for name, x in verdict.items()}
-        )
+        lists: dict[str, Any] = {k: tuple(v) for k, v in verdict.items() if k != "level"}
+        header["verdict"] = Verdict(verdict["level"], **lists)
     if (response := header.get("response")) is not None:
         header["response"] = LearnedResponse.from_values(response)
     header["unknowns"] = {k: tuple(v) for k, v in header.get("unknowns", {}).items()}
