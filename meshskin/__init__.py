@@ -6,112 +6,20 @@ from the recording, and state the uncertainty. Public names are imported when th
 
 from __future__ import annotations
 
+import re
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
 
 __version__ = "0.2.0"
 
-if TYPE_CHECKING:
-    from . import contact as contact
-    from . import effects as effects
-    from .contact.indenter import Indenter as Indenter
-    from .contact.material import Material as Material
-    from .core.errors import LeftOutWarning as LeftOutWarning
-    from .core.errors import MeshskinError as MeshskinError
-    from .estimation.adaptive import adapt as adapt
-    from .estimation.calibrate import calibrate as calibrate
-    from .estimation.calibration import Calibration as Calibration
-    from .estimation.kinematics.calibrate_log import calibrate_log as calibrate_log
-    from .estimation.kinematics.log_calibration import LogCalibration as LogCalibration
-    from .estimation.layout.layout import Layout as Layout
-    from .estimation.layout.layout import layout as layout
-    from .estimation.online.frames import ContactFrames as ContactFrames
-    from .estimation.online.online_calibration import OnlineCalibration as OnlineCalibration
-    from .estimation.posegraph import PoseGraph as PoseGraph
-    from .estimation.recalibrate.recalibrate import recalibrate as recalibrate
-    from .estimation.recalibrate.result import Recalibration as Recalibration
-    from .estimation.recalibrate.touch_design import next_touches as next_touches
-    from .estimation.self_touch.calibrate import SelfTouch as SelfTouch
-    from .estimation.self_touch.calibrate import self_touch as self_touch
-    from .estimation.self_touch.side import TouchSide as TouchSide
-    from .exploration.plan import explore as explore
-    from .exploration.reach import reach as reach
-    from .geometry.body import Body as Body
-    from .geometry.region import Cap as Cap
-    from .geometry.region import Disc as Disc
-    from .geometry.region import Faces as Faces
-    from .geometry.region import HalfSpace as HalfSpace
-    from .geometry.region import Patch as Patch
-    from .geometry.region import Whole as Whole
-    from .recording.log_map import LogMap as LogMap
-    from .recording.readers import read_log as read_log
-    from .recording.recording import Recording as Recording
-    from .recording.recording_files import RecordingWriter as RecordingWriter
-    from .recording.resample import log_frames as log_frames
-    from .robot.arm import Arm as Arm
-    from .robot.robot import Robot as Robot
-    from .scene.belief import Belief as Belief
-    from .scene.scene import Scene as Scene
-    from .scene.settings import Exploration as Exploration
-    from .scene.settings import Law as Law
-    from .scene.settings import Loop as Loop
-    from .scene.settings import Readout as Readout
-    from .simulation.simulate import simulate as simulate
-    from .simulation.static_contacts import press as press
-    from .skin.compare import compare as compare
-    from .skin.lint import lint as lint
-    from .skin.skin import Skin as Skin
-    from .study.sensitivity.budget import budget as budget
-    from .study.sensitivity.cost import cost as cost
-    from .study.sweep.study import Study as Study
-    from .tuning.tune import tune as tune
-
-_NAMES = {
-    "contact": ("contact",),
-    "contact.indenter": ("Indenter",),
-    "contact.material": ("Material",),
-    "core.errors": ("LeftOutWarning", "MeshskinError"),
-    "effects": ("effects",),
-    "estimation.adaptive": ("adapt",),
-    "estimation.calibrate": ("calibrate",),
-    "estimation.calibration": ("Calibration",),
-    "estimation.kinematics.calibrate_log": ("calibrate_log",),
-    "estimation.kinematics.log_calibration": ("LogCalibration",),
-    "estimation.layout.layout": ("Layout", "layout"),
-    "estimation.online.frames": ("ContactFrames",),
-    "estimation.online.online_calibration": ("OnlineCalibration",),
-    "estimation.posegraph": ("PoseGraph",),
-    "estimation.recalibrate.recalibrate": ("recalibrate",),
-    "estimation.recalibrate.result": ("Recalibration",),
-    "estimation.recalibrate.touch_design": ("next_touches",),
-    "estimation.self_touch.calibrate": ("SelfTouch", "self_touch"),
-    "estimation.self_touch.side": ("TouchSide",),
-    "exploration.plan": ("explore",),
-    "exploration.reach": ("reach",),
-    "geometry.body": ("Body",),
-    "geometry.region": ("Cap", "Disc", "Faces", "HalfSpace", "Patch", "Whole"),
-    "recording.log_map": ("LogMap",),
-    "recording.readers": ("read_log",),
-    "recording.recording": ("Recording",),
-    "recording.recording_files": ("RecordingWriter",),
-    "recording.resample": ("log_frames",),
-    "robot.arm": ("Arm",),
-    "robot.robot": ("Robot",),
-    "scene.belief": ("Belief",),
-    "scene.scene": ("Scene",),
-    "scene.settings": ("Exploration", "Law", "Loop", "Readout"),
-    "simulation.simulate": ("simulate",),
-    "simulation.static_contacts": ("press",),
-    "skin.compare": ("compare",),
-    "skin.lint": ("lint",),
-    "skin.skin": ("Skin",),
-    "study.sensitivity.budget": ("budget",),
-    "study.sensitivity.cost": ("cost",),
-    "study.sweep.study": ("Study",),
-    "tuning.tune": ("tune",),
+_STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+_HOMES = {
+    name: home or name
+    for home, name in sorted(re.findall(r"from \.([\w.]*) import (\w+)", _STUB), key=itemgetter(1))
 }
-"""Public names by the module that defines them; "contact" and "effects" are modules themselves."""
-_HOMES = dict(sorted((name, home) for home, names in _NAMES.items() for name in names))
+"""The module that defines each public name, in the order of the names."""
 
 __all__ = list(_HOMES)
 
