@@ -122,13 +122,16 @@ class SurfaceGradients:
     """Of the rotation of the patch's axes about the normal (m, 3), rad/m."""
 
     @classmethod
-    def none(cls, data: Measurements) -> SurfaceGradients:
-        """No gradients at the contacts of `data`."""
-        return cls(*np.zeros((5, len(data.points), 3)))
-
-    @classmethod
     def at(cls, data: Measurements) -> SurfaceGradients:
-        """The gradients at the contacts of `data`, by central differences."""
+        """The gradients at the contacts of `data`, by central differences.
+
+        Zero under a learned response where joints move the contacts: these are not located by how
+        sizes vary over the body, which no known law gives. Errors of that would displace all
+        contacts and taxels together, beyond the stated errors.
+        """
+        motion = data.parameters.motion
+        if motion is not None and motion.by_joints and "profile" in data.parameters.names:
+            return cls(*np.zeros((5, len(data.points), 3)))
         found = []
         for side in (data.directions, np.cross(data.normals, data.directions)):
             plus, minus = (

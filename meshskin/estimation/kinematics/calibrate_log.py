@@ -228,12 +228,13 @@ def _estimation(
 ) -> Estimation:
     """The estimators on the contacts at x (K + 3,)."""
     kinematics, path, time, s = heights.model, heights.path, heights.time, x[:-3]
-    linear = heights.linearized(x)
+    told = heights.known
+    assert told is not None
     centres, slopes = kinematics.centres(path, time, s)
-    u = np.linalg.pinv(linear.root) @ (s - linear.mean)
-    motion = ContactMotion(kinematics.labels, kinematics.sigma, slopes, linear.mean, linear.root, u)
+    u = np.linalg.pinv(told.root) @ (s - told.mean)
+    motion = ContactMotion(kinematics.labels, kinematics.sigma, slopes, told.mean, told.root, u)
     scale, hit = closest_at_scale(kinematics, belief.body, centres, s)
-    off = scale * hit.point + linear.residuals[:, None] * hit.normal
+    off = scale * hit.point + heights.residuals(x)[0][:, None] * hit.normal
     frames, force = np.arange(len(log.time)), _forces(log, belief)
     recording = recording_of(log, frames, off, hit.normal, force, belief.readings)
     return Estimation(recording, corrected(belief, kinematics, s, motion), former=former)
@@ -323,4 +324,4 @@ def _heights(
             kinematics, path, time, belief.body, belief.indenter.radius, depth, error, touch, force
         )
         x = heights.fit(x)
-    return heights, x
+    return replace(heights, known=heights.linearized(x)), x

@@ -75,8 +75,6 @@ class LinearizedHeights:
     """(K,)."""
     covariance: Array
     """(K, K)."""
-    residuals: Array
-    """Heights (m,), m, over those of a contact, at the point."""
 
     @property
     def root(self) -> Array:
@@ -106,6 +104,9 @@ class Heights:
     """Number (m,) of the touch of each contact; empty: each contact is a touch of its own."""
     force: Array | float = 1.0
     """Forces (m,), N, of the contacts, or that of all."""
+    known: LinearizedHeights | None = None
+    """What they tell about their own optimum. About where readings have moved the contacts, heights
+    of other places would give another mean, nearer to there."""
 
     @property
     def precision(self) -> Array:
@@ -287,7 +288,7 @@ class Heights:
             hessian[weak, weak] = self.precision[weak]
         mean = np.asarray(x - np.linalg.solve(hessian, gradient), dtype=float)
         covariance = np.asarray(np.linalg.inv(hessian), dtype=float)
-        return LinearizedHeights(mean[:count], covariance[:count, :count], r)
+        return LinearizedHeights(mean[:count], covariance[:count, :count])
 
 
 def timed_by_the_fastest(

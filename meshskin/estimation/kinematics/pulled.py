@@ -8,6 +8,10 @@ response that are alike over it look like such a motion. Where the pull is large
 explains, no data tell which of the two is right: d is an error of the unknowns, and displaces all
 taxels. Its share in their variances rises from 0 at a pull of USUAL to 1 at CONTRADICTED. The last
 change of unknowns that do not come to rest displaces them likewise.
+
+Where the model does not fit the readings, nothing is taken from what they tell of the unknowns: the
+error is d and that of covariance C. The clock and delays, of which heights tell little, are
+excepted.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ import numpy as np
 
 from ...core.arrays import Array, means_by_group
 from ...recording.recording import Recording
+from ...robot.contact_kinematics import JOINT_DELAY
 from ...scene.contact_motion import ContactMotion
 from ..calibration import Calibration
 from ..trilateration.displacements import surface_motion
@@ -25,6 +30,8 @@ from ..uncertainty.observability import shape_operators
 
 USUAL = 2.5
 """Pull up to which nothing is widened: sound logs had up to 2.1."""
+TIMES = ("clock_offset", JOINT_DELAY)
+"""Starts of the labels of unknowns that are times."""
 CONTRADICTED = 3.5
 """Standard deviations before a measurement beyond which an unknown contradicts what was known: one
 of 20 sound unknowns is with a probability of 1 %."""
@@ -55,10 +62,15 @@ def widened(
 ) -> Calibration:
     """The calibration of a recording with the outer products of d, and of the displacements of the
     taxels by d, added to the variances by their share, which is none up to a pull of USUAL; and
-    those of the last `change` (K,) of the unknowns as a whole."""
-    d, before = pulls(calibration)
+    those of the last `change` (K,) of the unknowns as a whole. With those of C, too, and all of d,
+    where the readings do not fit."""
+    (d, before), motion = pulls(calibration), _motion(calibration)
     share = np.clip((np.max(np.abs(d) / before) - USUAL) / (CONTRADICTED - USUAL), 0.0, 1.0)
-    for error in (np.sqrt(share) * d, change * np.ones(len(d))):
+    errors = [np.sqrt(share) * d, change * np.ones(len(d))]
+    if calibration.fit is not None and calibration.fit.good is False:
+        told = np.array([not label.startswith(TIMES) for label in motion.labels])
+        errors += [np.sqrt(1 - share) * told * d, *(told * motion.root.T)]
+    for error in errors:
         if error.any():
             calibration = _widened_by(calibration, recording, error)
     return calibration

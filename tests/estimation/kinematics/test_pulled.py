@@ -93,6 +93,22 @@ def test_an_unknown_that_the_readings_move_further_displaces_the_taxels(world):
     np.testing.assert_allclose(turn, size / np.linalg.norm(positions, axis=1), rtol=0.05, atol=1e-4)
 
 
+def test_readings_that_do_not_fit_tell_nothing_of_the_unknowns(world):
+    """Their error is then that of the heights, and what the readings moved them by."""
+    found = turned(world, 0.005, 0.0)
+    assert widened(found, world.recording) is found
+    misfit = replace(found, fit=SimpleNamespace(good=False))
+    wide = widened(misfit, world.recording)
+    added = wide.covariances[:, :3, :3] - found.covariances[:, :3, :3]
+    added = np.trace(added, axis1=1, axis2=2)
+    turn = np.array([1, 2]) @ (BEFORE @ BEFORE.T + np.outer([0.005, 0], [0.005, 0])) @ [1, 2]
+    arm = np.linalg.norm(found.positions @ hat(AXIS).T, axis=1)
+    np.testing.assert_allclose(np.sqrt(added), np.sqrt(turn) * arm, rtol=0.05, atol=1e-4)
+    for label, before, moved in zip(("a", "b"), (0.01, 0.005), (0.005, 0.0), strict=True):
+        sigma = wide.unknowns[f"joint_offset {label}"][1]
+        assert sigma == pytest.approx(np.sqrt(before**2 + moved**2 + 1e-6))
+
+
 def test_unknowns_that_do_not_come_to_rest_displace_the_taxels_by_their_last_change(world):
     """Whatever the heights leave to them: they move by the sum about the axis."""
     found = turned(world, 0.0, 0.0)
