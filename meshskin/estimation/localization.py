@@ -210,7 +210,7 @@ class CalibratedSkin:
         number = live[taxel] * len(data.points) + contact
         known = np.concatenate([data.taxel, data.corrupt[:, 1]]) * len(data.points)
         known = known + np.concatenate([data.contact, data.corrupt[:, 0]])
-        silent = ~np.isin(number, known)
+        silent = ~np.isin(number, known) & data.answering(contact, live[taxel])
         contact, taxel = contact[silent], live[taxel[silent]]
         pressure = data.pressure[read]
         end = data.ends[data.taxel[read]]

@@ -118,6 +118,9 @@ class Measurements:
     """Contacts, rows of `points`, whose readings came outside the recording: without silences."""
     lost: float = 0.0
     """Fraction of the readings that were lost; where some were, no silence informs."""
+    ended: np.ndarray = field(default_factory=lambda: np.empty((0, 2), dtype=int))
+    """Taxels that answer no more, and the last contact of each that they answer (e, 2): rows of
+    `ids` and of `points`. Later silences of theirs do not inform."""
 
     @cached_property
     def ids(self) -> np.ndarray:
@@ -324,6 +327,12 @@ class Measurements:
     def by_taxel(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows (k,) of the readings, sorted by taxel, and the first (n,) of each taxel there."""
         return np.argsort(self.taxel, kind="stable"), np.cumsum(self.counts) - self.counts
+
+    def answering(self, contact: np.ndarray, taxel: np.ndarray) -> np.ndarray:
+        """Whether taxels (k,) still answered at the time of contacts (k,), bool."""
+        last = np.full(len(self.ids), len(self.points))
+        last[self.ended[:, 0]] = self.ended[:, 1]
+        return np.asarray(contact <= last[taxel])
 
     @cached_property
     def rest(self) -> Array:

@@ -82,6 +82,7 @@ def silent_pairs(
     if len(read):
         silent = read[np.minimum(np.searchsorted(read, number), len(read) - 1)] != number
         silent &= ~np.isin(contact, np.union1d(data.misfitting, data.unread))
+        silent &= data.answering(contact, live[taxel])
         facing = np.einsum("ki,ki->k", data.normals[contact], normals[taxel])
         silent &= facing > SILENT_FACING
         contact, taxel = contact[silent], taxel[silent]
