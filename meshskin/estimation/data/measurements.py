@@ -328,12 +328,6 @@ class Measurements:
         """Rows (k,) of the readings, sorted by taxel, and the first (n,) of each taxel there."""
         return np.argsort(self.taxel, kind="stable"), np.cumsum(self.counts) - self.counts
 
-    def answering(self, contact: np.ndarray, taxel: np.ndarray) -> np.ndarray:
-        """Whether taxels (k,) still answered at the time of contacts (k,), bool."""
-        last = np.full(len(self.ids), len(self.points))
-        last[self.ended[:, 0]] = self.ended[:, 1]
-        return np.asarray(contact <= last[taxel])
-
     @cached_property
     def rest(self) -> Array:
         """What each taxel (n,) reads in most contacts, Pa; the threshold where it is silent."""
