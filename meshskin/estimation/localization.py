@@ -16,7 +16,7 @@ from ..core.arrays import Array, means_by_group, sums_by_group
 from .calibration import Calibration
 from .data.global_parameters import MOTION, MOVES, nuisance_unit
 from .data.measurements import Measurements
-from .data.pairs import near_pairs
+from .data.pairs import answering, near_pairs
 from .data.resolve_belief import contact_model
 from .joint.contact_state import Contacts
 from .joint.contacts import LinearizedContacts
@@ -210,7 +210,7 @@ class CalibratedSkin:
         number = live[taxel] * len(data.points) + contact
         known = np.concatenate([data.taxel, data.corrupt[:, 1]]) * len(data.points)
         known = known + np.concatenate([data.contact, data.corrupt[:, 0]])
-        silent = ~np.isin(number, known)
+        silent = ~np.isin(number, known) & answering(data, contact, live[taxel])
         contact, taxel = contact[silent], live[taxel[silent]]
         pressure = data.pressure[read]
         end = data.ends[data.taxel[read]]

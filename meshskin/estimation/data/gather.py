@@ -71,7 +71,8 @@ def gather(recording: Recording, belief: Belief, repeated: bool = False) -> Meas
         data = without_delay(data)
     check_answered(data)
     check_disc(data)
-    return replace(data, lost=lost_readings(data))
+    lost, ended = lost_readings(data)
+    return replace(data, lost=lost, ended=ended)
 
 
 def _measurements(

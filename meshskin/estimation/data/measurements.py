@@ -118,6 +118,9 @@ class Measurements:
     """Contacts, rows of `points`, whose readings came outside the recording: without silences."""
     lost: float = 0.0
     """Fraction of the readings that were lost; where some were, no silence informs."""
+    ended: np.ndarray = field(default_factory=lambda: np.empty((0, 2), dtype=int))
+    """Taxels that answer no more, and the last contact of each that they answer (e, 2): rows of
+    `ids` and of `points`. Later silences of theirs do not inform."""
 
     @cached_property
     def ids(self) -> np.ndarray:

@@ -50,6 +50,13 @@ def near_pairs(
     return np.concatenate(contacts), np.concatenate(taxels)
 
 
+def answering(data: Measurements, contact: np.ndarray, taxel: np.ndarray) -> np.ndarray:
+    """Whether taxels (k,) still answered at the time of contacts (k,), bool."""
+    last = np.full(len(data.ids), len(data.points))
+    last[data.ended[:, 0]] = data.ended[:, 1]
+    return np.asarray(contact <= last[taxel])
+
+
 def silent_pairs(
     data: Measurements, live: np.ndarray, points: Array, normals: Array, scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -82,6 +89,7 @@ def silent_pairs(
     if len(read):
         silent = read[np.minimum(np.searchsorted(read, number), len(read) - 1)] != number
         silent &= ~np.isin(contact, np.union1d(data.misfitting, data.unread))
+        silent &= answering(data, contact, live[taxel])
         facing = np.einsum("ki,ki->k", data.normals[contact], normals[taxel])
         silent &= facing > SILENT_FACING
         contact, taxel = contact[silent], taxel[silent]

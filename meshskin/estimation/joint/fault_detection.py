@@ -147,11 +147,14 @@ def stuck_taxels(data: Measurements) -> StuckTaxels:
 
 
 def name_left_out(faults: np.ndarray, data: Measurements, stuck: StuckTaxels) -> None:
-    """Add the corrupt readings that were left out to the faults (n,); those of stuck taxels are
-    their level alone."""
+    """Add the corrupt readings that were left out, and when taxels ceased to answer, to the faults
+    (n,); those of stuck taxels are their level alone."""
     for row, count in zip(*np.unique(data.corrupt[:, 1], return_counts=True), strict=True):
         left_out = f"{count} corrupt, stuck or negative readings left out"
         faults[row] = join_words(faults[row], left_out)
+    for row, last in data.ended:
+        after = data.time[last] - data.time[0]
+        faults[row] = join_words(faults[row], f"answers no more after {after:.3g} s")
     raw = data.belief.readings == RAW
     for row, level in zip(stuck.rows, stuck.level * data.unit, strict=True):
         words = f"a level of {level:.3g}" if raw else f"{level / 1e3:.3g} kPa"

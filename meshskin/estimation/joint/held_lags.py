@@ -9,9 +9,9 @@ that begins at the contacts' time.
 
 Under a learned response nothing is known of the clocks. The mean over both models and all sizes is
 what the taxels are moved by, and the variance about it counts in the covariances. Under a contact
-model, and where a common lag is estimated, the taxels stay, and the mean squares count by the part
-by which the readings raise the probability of lags: else the prior's lags would be in each sound
-recording in which taxels are crossed in one direction.
+model, and where a common lag is estimated, as drag or friction, the taxels stay, and the mean
+squares count by the part by which the readings raise the probability of lags: else the prior's lags
+would be in each sound recording in which taxels are crossed in one direction.
 
 Source: Hoeting, Madigan, Raftery, Volinsky, "Bayesian model averaging: a tutorial", Statistical
 Science 14 (1999).
@@ -61,7 +61,8 @@ of channels that are read evenly from the contact's time on."""
 def held_lags(fitted: FittedReadings, drag: float = 0.0) -> SmallEffects:
     """How far lags displace the taxels, and what they add to the tangential covariances.
 
-    drag: distance, m, of the patches behind the contacts, if it is estimated: the common lag.
+    drag: distance, m, of the patches behind the contacts by drag or friction, if it is estimated:
+    the common lag.
     """
     data, n, learned = fitted.data, len(fitted.points), fitted.system is not None
     steps = np.linalg.norm(np.diff(data.points, axis=0), axis=1)

@@ -88,7 +88,8 @@ def learned_result(
             factors.append(f"{name}, to first order")
             placed = placed.relinearized(data.body, -errors.displacements)
     if fit.good is not False:
-        late = held_lags(effects.fitted(), _value(effects, "drag"))
+        behind = _value(effects, "drag") or _value(effects, "friction")
+        late = held_lags(effects.fitted(), behind)
         late = late.held() if small[LAGS].displacements.any() else late  # of the same cause
         departures[HELD_LAGS] = late.score
         factors += [HELD_LAGS] if late.score > NAMED else []

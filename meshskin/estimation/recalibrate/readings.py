@@ -109,5 +109,6 @@ def _of_contacts(data: Measurements, kept: np.ndarray) -> Measurements:
         contact=row[part.contact],
         corrupt=np.column_stack([row[corrupt[:, 0]], corrupt[:, 1]]),
         unread=row[data.unread[kept[data.unread]]],
+        ended=np.column_stack([data.ended[:, 0], row[data.ended[:, 1]]]),
         parameters=replace(data.parameters, motion=motion and motion.take(kept)),
     )

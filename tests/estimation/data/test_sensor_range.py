@@ -1,4 +1,4 @@
-"""What readings alone show of the sensors: those that were lost."""
+"""What readings alone show of the sensors: those that were lost, and taxels that end."""
 
 from types import SimpleNamespace
 
@@ -12,6 +12,8 @@ from meshskin.estimation.data.sensor_range import MAX_LOST, unanswered_contacts
 from ..learned.test_estimate import PEAK, belief, errors, hertz, recording, world
 
 CONTACTS = 500
+ENDING = [5, 10, 15, 20, 30]
+"""Taxels that several later contacts press."""
 BELIEF = belief(threshold=0.03 * PEAK, contact="learned")
 
 
@@ -41,6 +43,27 @@ def stretches(rng, contact, taxel):
     """A twelfth of the recording, of each taxel for itself."""
     begin = rng.integers(0, CONTACTS, taxel.max() + 1)[taxel]
     return (contact >= begin) & (contact < begin + CONTACTS // 12)
+
+
+def ends(rng, contact, taxel):
+    """ENDING, in the middle of the contacts that each of them answers."""
+    middle = np.array([np.median(contact[taxel == k]) for k in range(taxel.max() + 1)])
+    return np.isin(taxel, ENDING) & (contact >= middle[taxel])
+
+
+def test_taxels_that_end_are_named_and_their_later_silences_left_out(sound, whole):
+    data = gather(kept(sound, ends), BELIEF)
+    assert data.lost == 0.0
+    np.testing.assert_array_equal(data.ids[data.ended[:, 0]], ENDING)
+    found = calibrate(kept(sound, ends), BELIEF)
+    assert found.verdict.level == "PASS"
+    off, stated = errors(found)
+    assert off < 1.3 * errors(whole)[0]
+    assert off == pytest.approx(stated, rel=0.25)
+    named = np.flatnonzero(["answers no more after" in words for words in found.faults])
+    np.testing.assert_array_equal(named, ENDING)
+    assert not gather(recording(*sound), BELIEF).ended.size
+    assert not gather(kept(sound, single), BELIEF).ended.size
 
 
 @pytest.mark.parametrize("lost", [single, pytest.param(stretches, marks=pytest.mark.deep)])

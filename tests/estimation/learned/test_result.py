@@ -6,10 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.joint.pressure import CENSORED, OBSERVED
 from meshskin.estimation.joint.small_effects import SmallEffects
 from meshskin.estimation.learned import result
 from meshskin.estimation.learned.result import LAGS, LOST_SHARE, SHARES, _few_readings, _own_misfit
+
+from .test_estimate import RADIUS, belief, errors, hertz, recording, world
 
 
 def test_few_readings_of_a_taxel_widen_its_variance():
@@ -56,3 +59,16 @@ def test_lags_are_not_looked_for_where_contacts_have_errors_of_any_size(monkeypa
     assert small[LAGS].covariances.any() == clear
     assert not small[SHARES].displacements.any()
     assert small[LOST_SHARE].displacements.any() == clear  # the likeliest alone
+
+
+@pytest.mark.deep
+def test_lags_beside_an_estimated_friction_do_not_move_the_taxels():
+    """Patches 0.3 mm behind the contacts along a spiral: lags moved the taxels by 0.1 mm."""
+    points, *rest = world(hertz, seed=2)
+    ahead = np.diff(points, axis=0, prepend=2 * points[:1] - points[1:2])
+    points = points + 0.3e-3 * ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    points *= RADIUS / np.linalg.norm(points, axis=1, keepdims=True)
+    found = calibrate(recording(points, *rest), belief(contact="learned", readings="raw"))
+    assert found.unknowns["friction"][0] == pytest.approx(0.3e-3, rel=0.1)
+    assert "drag" not in found.unknowns
+    assert errors(found)[0] < 0.03e-3
