@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -109,8 +109,9 @@ def _values(table: pa.Table, header: dict[str, Any]) -> dict[str, Any]:
     if (fit := header.get("fit")) is not None:
         header["fit"] = GoodnessOfFit(**fit)
     if (verdict := header.get("verdict")) is not None:
-        values = {k: tuple(x) if isinstance(x, list) else x for k, x in verdict.items()}
-        header["verdict"] = Verdict(**cast(dict[str, Any], values))
+        header["verdict"] = Verdict(
+            **{name: tuple(x) if isinstance(x, list) else x for name, x in verdict.items()}
+        )
     if (response := header.get("response")) is not None:
         header["response"] = LearnedResponse.from_values(response)
     header["unknowns"] = {k: tuple(v) for k, v in header.get("unknowns", {}).items()}
