@@ -110,7 +110,7 @@ def _values(table: pa.Table, header: dict[str, Any]) -> dict[str, Any]:
         header["fit"] = GoodnessOfFit(**fit)
     if (verdict := header.get("verdict")) is not None:
         header["verdict"] = Verdict(
-            **{name: tuple(x) if isinstance(x, list) else x for name, x in verdict.items()}
+            verdict["level"], tuple(verdict["reasons"]), tuple(verdict.get("untested", ()))
         )
     if (response := header.get("response")) is not None:
         header["response"] = LearnedResponse.from_values(response)
