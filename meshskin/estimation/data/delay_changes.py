@@ -27,8 +27,8 @@ FLOOR = 0.25
 LEAST_GAIN = 4.0
 """Increase of the logarithm of the likelihood, with normal distances of the contacts from their
 taxels, from which a delay is another. Of simulated bodies with edges, at which passes end, the best
-of the 10,000 changes that are tried has up to 1.2 (test_passes_that_end_at_edges_are_not_late);
-where the delay changes in tests/estimation/data/test_measurements.py, it has 123 and more. Chosen
+of the 10,000 changes that are tried has up to 0.31 (test_passes_that_end_at_edges_are_not_late);
+where the delay changes in tests/estimation/data/test_measurements.py, it has 116 and more. Chosen
 below the latter: spirals, whose passes have one direction, show less."""
 
 
@@ -58,7 +58,8 @@ def delay_course(data: Measurements, in_time: np.ndarray, level: Array) -> np.nd
 def _sums(data: Measurements, in_time: np.ndarray, level: Array) -> tuple[Array, Array]:
     """Sums (lags, 5, BLOCKS + 1, t) over the parts before each of the weights of t taxels'
     readings, of these times the contacts' positions, and times their squares; and the taxels'
-    effective numbers of passes (t,): a delay displaces the readings of one pass alike.
+    effective numbers of passes (t,) beyond the one that their means follow: a delay displaces the
+    readings of one pass alike.
     """
     touched = np.flatnonzero(data.counts > 0)
     chosen = touched[:: -(-len(touched) // MAX_TAXELS)] if len(touched) else touched
@@ -80,7 +81,7 @@ def _sums(data: Measurements, in_time: np.ndarray, level: Array) -> tuple[Array,
     passes = np.bincount(np.cumsum(begins) - 1, weight[order])
     square = np.bincount(place[data.taxel[rows][order][begins]], passes**2, t)
     sums = np.cumsum(sums, axis=2)
-    return sums, sums[0, 0, -1] ** 2 / np.maximum(square, 1e-300)
+    return sums, np.maximum(sums[0, 0, -1] ** 2 / np.maximum(square, 1e-300) - 1, 0.0)
 
 
 def begins_pass(taxel: np.ndarray, contact: np.ndarray) -> np.ndarray:

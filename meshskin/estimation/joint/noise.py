@@ -56,6 +56,9 @@ less: thin layers have 0.2 and more (patch_shape.EDGE_ERROR)."""
 MAX_CHANCE = 0.5
 """That excess, relative to what the heights let expect, from which the residuals are too few to
 tell."""
+MIN_TOLD = 0.5
+"""Part of the contacts over edges whose residuals must tell for the others to have no larger part
+of the expected variance than any of these."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,8 @@ def with_estimated_edges(estimator: JointEstimator) -> Measurements:
 
     Heights of the surface bound these errors; how large they are depends on the layer, and on
     whether the edge is one of the body or of its mesh alone. The mean square of the residuals of
-    the contacts near each, beyond the noise, is their variance, where it is not chance.
+    the contacts near each, beyond the noise, is their variance, where it is not chance. Where the
+    residuals are too few to tell, it is the largest part of the expected one at the others.
     """
     data = estimator.data
     if data.noise is None or not data.edges:
@@ -149,11 +153,20 @@ def with_estimated_edges(estimator: JointEstimator) -> Measurements:
     excess, expected = square - noise, np.maximum(expected, 1e-300)
     scale = np.maximum(square / np.maximum(noise, 1e-300), 1.0)
     least = EDGE_SIGMAS * np.sqrt(2.0 * chance) * scale
-    part = np.where(excess > least, excess + least, 0.0) / expected
-    part = np.where(least > MAX_CHANCE * expected, 1.0, np.minimum(part, 1.0))
+    part = edge_parts(excess, least, expected)
     unevenness = data.unevenness.copy()
     unevenness[over] *= np.sqrt(part)
     return replace(data, unevenness=unevenness)
+
+
+def edge_parts(excess: Array, least: Array, expected: Array) -> Array:
+    """Parts (k,) of the `expected` variances (k,) at k contacts over edges that errors of the model
+    have, by the `excess` (k,) of the residuals there over the noise; up to `least` (k,) it is
+    chance."""
+    part = np.minimum(np.where(excess > least, excess + least, 0.0) / expected, 1.0)
+    told = least <= MAX_CHANCE * expected
+    part[~told] = max(MAX_PART, part[told].max()) if np.mean(told) > MIN_TOLD else 1.0
+    return part
 
 
 def estimate_noise(estimator: JointEstimator, reduced: SchurComplement) -> Noise:

@@ -21,7 +21,7 @@ from ...core.arrays import Array, means_by_group, ranges
 from .joint_estimator import JointEstimator
 from .likelihood import Likelihood
 from .parametrization import SurfaceParametrization
-from .pressure import OBSERVED
+from .pressure import OBSERVED, costs
 from .readings import Readings, select
 from .variable_projection import MAX_STEPS, ReducedProblem
 
@@ -64,6 +64,8 @@ deviations by noise, or an outlier, is of a contact out of reach, which tells no
 NUISANCE_STEPS = 2
 """Newton steps to the best gain and offset at a position: readings are linear in the offset and
 nearly so in the logarithm of the gain."""
+AWAY = 1e3
+"""Coordinates of a place that no contact reaches, m."""
 MAX_COPIES = 4096
 """Copies of taxels, at different positions, that are optimized together: limits the memory."""
 MAX_MOVES = 3
@@ -77,12 +79,26 @@ class RivalOptima:
     points: Array
     """(n, 3), body frame, m."""
     log_odds: Array
-    """Log-likelihood (n,) of the estimate minus that of the rival."""
+    """Log-likelihood (n,) of the estimate minus that of the rival, relative to the variance of the
+    residuals where that exceeds 1."""
 
     @classmethod
     def none(cls, n: int) -> RivalOptima:
         """No rivals of n taxels."""
         return cls(np.full((n, 3), np.nan), np.full(n, np.inf))
+
+    def widened(self, covariances: Array, tangents: Array, points: Array) -> Array:
+        """Covariances (n, 2, 2), m^2, along the tangents (n, 3, 2) at `points` (n, 3), m, no
+        narrower than the likelihood: where that of a rival is smaller by a factor exp(-u^2 / 2),
+        the standard deviation is at least its distance over max(u, 1), as in likelihood_widths.py.
+        """
+        sigmas = np.sqrt(np.maximum(2 * self.log_odds, 1.0))
+        apart = np.nan_to_num(self.points - points) / sigmas[:, None]
+        along = np.einsum("nij,ni->nj", tangents, apart)
+        square = np.sum(along**2, axis=1)
+        inside = np.einsum("ni,nij,nj->n", along, covariances, along) / np.maximum(square, 1e-300)
+        part = np.clip(1 - inside / np.maximum(square, 1e-300), 0.0, 1.0)
+        return covariances + part[:, None, None] * along[:, :, None] * along[:, None, :]
 
 
 def resolve_rivals(estimator: JointEstimator) -> RivalOptima:
@@ -126,13 +142,13 @@ def find_rivals(estimator: JointEstimator, among: np.ndarray | None = None) -> R
         return best
     if estimator.data.noise is not None and variance > MAX_VARIANCE:
         return best
-    limit = MAX_LOG_ODDS * max(variance, 1.0)
     parts = batches(rows, DIRECTIONS + 1)
     estimator.stage.expect(len(parts))
     for part in parts:
         estimator.stage.step()
         places, odds = finish(likeliest_rivals(estimator, part, points[part]))
-        near = odds < limit
+        odds /= max(variance, 1.0)
+        near = odds < MAX_LOG_ODDS
         best.points[part[near]], best.log_odds[part[near]] = places[near], odds[near]
     return best
 
@@ -300,27 +316,33 @@ def log_odds_between(
 ) -> Array:
     """Log-likelihood (r,) of taxels at the points `first` minus that at `second`, of all readings
     that inform about either; gains and offsets are the best ones there, from those in `first` and
-    `second`."""
-    readings = union(*(readings_of(estimator, rows, points) for points, _ in (first, second)))
-    costs = []
-    for points, z in (first, second):
-        problem = problem_of(estimator, rows, points, readings)
+    `second`. Readings that inform about the other place alone are out of reach, or of a contact
+    that presses another sheet: the taxel is at rest."""
+    places = first, second
+    readings = [readings_of(estimator, rows, points) for points, _ in places]
+    found = []
+    for (points, z), own, other in zip(places, readings, readings[::-1], strict=True):
+        problem = problem_of(estimator, rows, points, own)
         nuisance = z.copy()
         nuisance[:, :2] = 0.0
         for _ in range(NUISANCE_STEPS if problem.per_taxel else 0):
             blocks = problem.blocks(problem.start(estimator.state.s, nuisance))
             step = np.linalg.solve(blocks.hessian[:, 2:, 2:], blocks.gradient[:, 2:, None])
             nuisance[:, 2:] -= step[:, :, 0]
-        costs.append(problem.blocks(problem.start(estimator.state.s, nuisance)).cost)
-    return np.asarray(costs[1] - costs[0])
+        cost = problem.blocks(problem.start(estimator.state.s, nuisance)).cost
+        found.append(cost + _costs_at_rest(estimator, nuisance[:, 2:], own, other))
+    return np.asarray(found[1] - found[0])
 
 
-def union(first: Readings, second: Readings) -> Readings:
-    """The readings, of the same taxels, that are in either of the two."""
-    names = ("contact", "taxel", "level", "kind", "source", "weight", "precision")
-    columns = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in names}
-    pairs = np.stack([columns["taxel"], columns["contact"]])
-    kept = np.unique(pairs, axis=1, return_index=True)[1]
-    columns = {name: values[kept] for name, values in columns.items()}
-    starts = np.searchsorted(columns["taxel"], np.arange(len(first.starts)))
-    return Readings(**columns, starts=starts, live=first.live)
+def _costs_at_rest(
+    estimator: JointEstimator, nuisance: Array, own: Readings, other: Readings
+) -> Array:
+    """Costs (r,) of the readings of r taxels in `other` that are not in `own`, of taxels at rest,
+    with nuisance parameters (r, .)."""
+    data, contacts = estimator.data, estimator.problem.contacts.at(estimator.state.s)
+    keys = [read.taxel * len(data.points) + read.contact for read in (other, own)]
+    read = other.without(np.isin(*keys))
+    away = np.full((len(nuisance), 3), AWAY)
+    mu = Likelihood(data, read).means(away, nuisance, contacts)
+    cost = read.weight * read.precision * costs(mu, read.level / data.sigma, read.kind)[0]
+    return np.asarray(np.bincount(read.taxel, cost, len(nuisance)), dtype=float)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -11,7 +12,7 @@ import trimesh
 import meshskin as ms
 from meshskin import Body, Cap, Indenter, Loop, Readout, Scene, Skin, effects, simulate
 from meshskin.core.errors import CalibrationError
-from meshskin.estimation.data import delay, unit_checks
+from meshskin.estimation.data import delay, delay_changes, unit_checks
 from meshskin.estimation.data.gather import gather
 from meshskin.recording.recording import Recording
 
@@ -300,3 +301,23 @@ def test_contacts_at_random_places_move_to_the_next_one_at_their_speed(world):
     normals = np.tile([0.0, 0.0, 1.0], (len(turns), 1))
     spiral = dataclasses.replace(data, points=1e-3 * flat @ np.eye(2, 3), normals=normals)
     np.testing.assert_allclose(np.linalg.norm(spiral.headway[1:], axis=1), 1)
+
+
+def test_single_passes_that_end_or_begin_over_a_taxel_tell_no_delay():
+    """A delay, of another sign for each, spreads the contacts of such a pass less: those of the
+    first half of 60 taxels were taken for 2 frames early, those of the second for as late."""
+    steps = [np.arange(-20, 1) if k < 30 else np.arange(21) for k in range(60)]
+    pass_of = np.repeat(np.arange(60), [len(s) for s in steps])
+    along = 0.3e-3 * np.concatenate(steps)
+    points = np.column_stack([0.02 * pass_of + along, np.zeros((len(along), 2))])
+    read = np.flatnonzero(np.abs(along) < 2e-3)
+    lags = np.array(delay_changes.LAGS)[:, None]
+    before = read - lags
+    there = (before >= 0) & (before < len(points))
+    in_time = there & (pass_of[np.where(there, before, 0)] == pass_of[read])
+    data = SimpleNamespace(
+        points=points, contact=read, taxel=pass_of[read], ids=np.arange(60),
+        counts=np.bincount(pass_of[read], minlength=60),
+    )  # fmt: skip
+    course = delay_changes.delay_course(data, in_time, 1 - np.abs(along[read]) / 2e-3)
+    assert not course.any()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.calibrate import Estimation, calibrate
-from meshskin.estimation.joint.noise import neighbour_scatter, neighbours
+from meshskin.estimation.joint.noise import edge_parts, neighbour_scatter, neighbours
 from meshskin.estimation.joint.readings import Readings
 
 NOISE = 0.05
@@ -130,3 +130,13 @@ def test_what_wanders_in_time_is_no_scatter():
         readings, rng.normal(size=(200, 3)), wander, np.arange(800), lambda a, b: np.full(len(a), 2)
     )
     assert found.scale == pytest.approx(1.0, abs=3 / np.sqrt(2 * found.pairs))
+
+
+def test_edges_that_no_residuals_tell_err_as_the_others_at_most():
+    """They had all of the expected variance, whatever the others showed."""
+    expected, least = np.full(5, 100.0), np.array([10.0, 10.0, 10.0, 80.0, 80.0])
+    sound, bad = np.array([5.0, 0.0, -3.0, 70.0, 500.0]), np.array([5.0, 30.0, -3.0, 70.0, 0.0])
+    np.testing.assert_allclose(edge_parts(sound, least, expected), [0, 0, 0, 0.1, 0.1])
+    np.testing.assert_allclose(edge_parts(bad, least, expected), [0, 0.4, 0, 0.4, 0.4])
+    few = np.array([80.0, 80.0, 80.0, 10.0, 10.0])
+    np.testing.assert_allclose(edge_parts(bad, few, expected), [1, 1, 1, 0.8, 0])

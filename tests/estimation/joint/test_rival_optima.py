@@ -245,3 +245,35 @@ def test_only_taxels_that_have_moved_are_searched_again(line, monkeypatch):
     assert found.log_odds[row] == pytest.approx(-whole.log_odds[row], rel=0.1)
     others = np.arange(len(live)) != row
     np.testing.assert_array_equal(found.log_odds[others], whole.log_odds[others])
+
+
+def test_a_rival_counts_by_its_likelihood():
+    """Its whole distance counted, at odds of 1 to 3,000 as at even ones."""
+    tangents, places = np.tile(np.eye(3)[:, :2], (4, 1, 1)), np.zeros((4, 3))
+    points = np.tile([0.0, 1e-3, 0.0], (4, 1))
+    points[3] = np.nan
+    rivals = rival_optima.RivalOptima(points, np.array([0.2, 8.0, 8.0, np.inf]))
+    own = np.diag([0.3e-3, 0.1e-3]) ** 2 * np.array([1.0, 1.0, 9.0, 1.0])[:, None, None]
+    found = rivals.widened(own, tangents, places)
+    np.testing.assert_allclose(found[:, 0], own[:, 0])
+    np.testing.assert_allclose(np.sqrt(found[:, 1, 1]), [1e-3, 0.25e-3, 0.3e-3, 0.1e-3])
+
+
+def test_a_place_on_another_face_is_not_likelier(noisy, noisy_recording):
+    """Silent readings of the contacts there counted against the taxel's own place, though its sheet
+    is another: one 0.5 mm from an edge was to be 0.6 mm off by its standard deviation."""
+    data = gather(noisy_recording, noisy.belief())
+    live = np.arange(len(data.ids))
+    charts = charts_at(data.body, noisy.skin.positions)
+    parametrization = SurfaceParametrization(charts, float(np.median(data.radii)) / 2)
+    estimator = JointEstimator(data, live, parametrization, np.ones(len(data.pressure)), 30)
+    rows, z = np.array([40]), estimator.state.z[[40]]
+    here = rival_optima.readings_of(estimator, rows, noisy.skin.positions[rows])
+    none = here.without(here.kind < 2)
+    silent = replace(
+        here, kind=np.ones_like(here.kind), level=np.full(len(here.kind), 5 * data.sigma)
+    )
+    at_rest = rival_optima._costs_at_rest
+    assert at_rest(estimator, z[:, 2:], none, silent)[0] < 1e-3
+    assert at_rest(estimator, z[:, 2:], none, here)[0] > 100.0
+    assert at_rest(estimator, z[:, 2:], here, here)[0] == 0.0
