@@ -18,7 +18,6 @@ import numpy as np
 
 from .core.arguments import check_integer
 from .core.atomic_io import check_folder, remove_results, write_json
-from .core.beside import Beside
 from .core.deadline import (
     FIGURE_SECONDS,
     IMPORT_SECONDS,
@@ -46,6 +45,7 @@ from .simulation.response import ForceResponse, controlled_force, describe_depar
 from .simulation.simulate import simulate
 
 if TYPE_CHECKING:
+    from .core.beside import Beside
     from .report.figure_set import Drawn
     from .study.sensitivity.budget import BudgetReport
     from .study.sensitivity.choice import Choice
@@ -305,17 +305,13 @@ def _account(
 
 def _early_figures(job: _Job, done: _Calibrated | FirstRun) -> Beside[Drawn]:
     """The figures that need no comparison, drawn beside it; none where the time is limited."""
+    from .report.data import ReportData
+    from .report.page import draw_early
 
-    def work() -> Drawn:
-        from .report.data import ReportData
-        from .report.page import draw_early
-
-        scene, recording = done.scene, done.estimation.recording
-        metrics = {"force": {"reference_n": _force(recording, scene).reference}}
-        data = ReportData(done.calibration, recording, scene.skin, metrics=metrics, body=scene.body)
-        return draw_early(job.folder, data)
-
-    return Beside(work, forked=math.isinf(job.deadline.seconds))
+    scene, recording = done.scene, done.estimation.recording
+    metrics = {"force": {"reference_n": _force(recording, scene).reference}}
+    data = ReportData(done.calibration, recording, scene.skin, metrics=metrics, body=scene.body)
+    return draw_early(job.folder, data, forked=math.isinf(job.deadline.seconds))
 
 
 def _report(job: _Job, result: Result, early: Beside[Drawn]) -> None:

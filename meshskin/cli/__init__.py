@@ -19,6 +19,7 @@ from importlib import import_module
 from types import FrameType
 from typing import NoReturn, TextIO
 
+from .. import __version__
 from ..core.errors import MeshskinError
 from .options import in_options
 
@@ -46,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = _note
         try:
             try:
-                options, unknown = _parser().parse_known_args(arguments)
+                given = sys.argv[1:] if arguments is None else arguments
+                options, unknown = _parser(given).parse_known_args(given)
                 if unknown:
                     options.parser.error(f"unknown arguments: {' '.join(unknown)}")
             except SystemExit as ended:  # after --help or --version, or a wrong command line
@@ -128,21 +130,18 @@ class _Parser(argparse.ArgumentParser):
         self.exit(BAD_INPUT, f"{self.prog}: {message}; {self.prog} --help lists what it takes\n")
 
 
-def _parser() -> argparse.ArgumentParser:
-    from ..core.provenance import versions
-
+def _parser(arguments: Sequence[str] = ()) -> argparse.ArgumentParser:
+    """The parser of the command that the arguments begin with, of all where it is none."""
     parser = _Parser(
         prog="meshskin", description="Self-calibration of robot skin on any body mesh."
     )
-    parser.add_argument("--version", action="version", version=f"meshskin {versions()['meshskin']}")
+    parser.add_argument("--version", action="version", version=f"meshskin {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for name in COMMANDS:
+    for name in set(arguments[:1]) & set(COMMANDS) or COMMANDS:
         module = import_module(f".{name}", __name__)
         title, _, description = str(module.__doc__).partition("\n\n")
         command = commands.add_parser(
-            name,
-            help=title.partition(": ")[2].rstrip("."),
-            description=description or None,
+            name, help=title.partition(": ")[2].rstrip("."), description=description or None
         )
         module.add(command)
         command.set_defaults(command=module.command, parser=command)

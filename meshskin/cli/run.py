@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,8 +95,10 @@ def summary(result: Result, folder: Path) -> str:
 
     m, calibration, force = result.metrics, result.calibration, result.metrics["force"]
     found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
+    if (verdict := calibration.verdict) is not None:
+        verdict = replace(verdict, untested=())  # a simulation's contacts are where it says
     lines = [
-        *([in_options(str(calibration.verdict))] if calibration.verdict is not None else []),
+        *([in_options(str(verdict))] if verdict is not None else []),
         *filter(None, [force.get("departure"), m.get("budget", {}).get("above")]),
         f"{m['scene']}: {found} of {m['taxels']} taxels calibrated from "
         f"{calibration.readings.sum()} of {m['readings']} readings in {m['contacts']} contacts",
@@ -141,7 +144,7 @@ def _errors(m: dict[str, Any]) -> list[str]:
     ]
     if m["worse_than_centroid"]:
         worse = "; ".join(map(method_name, m["worse_than_centroid"]))
-        lines.append(row("worse than centroid", worse))
+        lines.append(row("baseline", f"the mean error of the centroid is below that of: {worse}"))
     return lines
 
 

@@ -7,6 +7,7 @@ the mean position error, or the first result, over the first parameter with seve
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,13 +47,18 @@ def command(options: argparse.Namespace) -> int:
                 failed = f", {state.failed} failed" * bool(state.failed)
                 show("cases", state.done, state.total, failed)
 
-        table = study.sweep(
-            options.out,
-            workers=options.workers,
-            scheduler=options.scheduler,
-            retry=options.retry,
-            progress=progress,
-        )
+        try:
+            table = study.sweep(
+                options.out,
+                workers=options.workers,
+                scheduler=options.scheduler,
+                retry=options.retry,
+                progress=progress,
+            )
+        except KeyboardInterrupt:
+            kept = f"cases that are done are kept in {options.out}; the same command continues"
+            print(f"meshskin: {kept}", file=sys.stderr)
+            raise
     figure = draw(study.results(options.out), options.out)
     if not options.quiet:
         print(summary(study.name, table, options.out))

@@ -23,9 +23,13 @@ two lines of a terminal; longer values are cut."""
 
 
 def repr_short(value: object) -> str:
-    """The representation of a value for an error message: on one line, cut at REPR_LENGTH."""
+    """The representation of a value for an error message: on one line, cut at REPR_LENGTH, between
+    words where there are several."""
     text = " ".join(repr(value).split())
-    return text if len(text) <= REPR_LENGTH else f"{text[: REPR_LENGTH - 3]}..."
+    if len(text) <= REPR_LENGTH:
+        return text
+    head = text[: REPR_LENGTH - 3].rpartition(" ")[0]
+    return f"{head} ..." if len(head) > REPR_LENGTH // 2 else f"{text[: REPR_LENGTH - 3]}..."
 
 
 def check_type(kind: type, value: object, what: str) -> None:

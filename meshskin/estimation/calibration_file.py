@@ -109,7 +109,9 @@ def _values(table: pa.Table, header: dict[str, Any]) -> dict[str, Any]:
     if (fit := header.get("fit")) is not None:
         header["fit"] = GoodnessOfFit(**fit)
     if (verdict := header.get("verdict")) is not None:
-        header["verdict"] = Verdict(verdict["level"], tuple(verdict["reasons"]))
+        header["verdict"] = Verdict(
+            verdict["level"], tuple(verdict["reasons"]), tuple(verdict.get("untested", ()))
+        )
     if (response := header.get("response")) is not None:
         header["response"] = LearnedResponse.from_values(response)
     header["unknowns"] = {k: tuple(v) for k, v in header.get("unknowns", {}).items()}

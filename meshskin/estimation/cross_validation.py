@@ -123,10 +123,7 @@ def _summary(errors: Array) -> dict[str, float | None]:
     errors = 1e3 * errors[np.isfinite(errors)]
     if not len(errors):
         return {"rms": None, "p95": None}
-    return {
-        "rms": float(np.sqrt(np.mean(errors**2))),
-        "p95": float(np.quantile(errors, 0.95)),
-    }
+    return {"rms": float(np.sqrt(np.mean(errors**2))), "p95": float(np.quantile(errors, 0.95))}
 
 
 def cross_validate(

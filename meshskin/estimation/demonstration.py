@@ -79,10 +79,7 @@ def perturbed_graph(
 
 
 def demonstrate(
-    poses: Array,
-    ids: NDArray[np.int64],
-    recording: Recording,
-    seed: int = 0,
+    poses: Array, ids: NDArray[np.int64], recording: Recording, seed: int = 0
 ) -> Demonstration:
     """Solve the perturbed graph of the true `poses` (n, 4, 4) of the taxels `ids` from the origin.
 

@@ -78,7 +78,8 @@ class StreamMap:
     """Field path of the time, or column of a table; "receipt": when the recorder received it;
     empty: header.stamp where there is one."""
     time_unit: str = "s"
-    """Unit of times that are numbers, and of a column whose name has none: s, ms, us or ns."""
+    """Unit of times that are numbers where the name of the field or column has none: s, ms, us or
+    ns."""
     delay: float | None = quantity("s", None, least=-60.0, most=60.0)
     """How late the times are against the clock of the robot; None: 0; of taxels, and of
     contacts that are computed from them, that of the first taxels, which is estimated."""

@@ -44,10 +44,7 @@ KNOWN: dict[str, tuple[str, tuple[str, ...]]] = {
     "TransformStamped": (POSE, _pose("transform.translation", "transform.rotation")),
     "TactileState": (TAXELS, ("sensors[].values",)),
     "SensStream": (TAXELS, ("sensors[].taxels[].z",)),
-    "TactileContact": (
-        CONTACTS,
-        _paths("position", POINT) + _paths("normal", POINT),
-    ),
+    "TactileContact": (CONTACTS, _paths("position", POINT) + _paths("normal", POINT)),
     "SensorData": (TAXELS, ("sensor_values",)),
     **{f"{number}MultiArray": (TAXELS, ("data",)) for number in NUMBERS},
 }

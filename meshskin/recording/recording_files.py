@@ -40,8 +40,7 @@ def read_table(file: Path) -> tuple[pa.Table, dict[str, Any]]:
         return table, json.loads((pq.read_metadata(file).metadata or {})[_KEY])
     except (pa.ArrowInvalid, OSError) as error:
         raise RecordingError(
-            f"{file} cannot be read: {str(error).splitlines()[0]}",
-            remedy="record it again",
+            f"{file} cannot be read: {str(error).splitlines()[0]}", remedy="record it again"
         ) from error
     except (KeyError, ValueError) as error:
         raise RecordingError(

@@ -70,6 +70,12 @@ def log_frames(log: Log, log_map: LogMap, robot: Robot | None = None) -> LogFram
     compared = usable or given.delay is not None or all(_of_skin(s, m) for s, m in pairs)
     if not compared:
         notes.append(_unknown_clock(pairs))
+    notes += [
+        f"the contacts of {s.name} were computed by the robot from its own map of the taxels: "
+        "these cannot be calibrated with them"
+        for s, m in pairs
+        if m.kind == CONTACTS and s.type == SKIN_CONTACTS
+    ]
     pairs = on_clock(pairs, late)
     skins = [pair for pair in pairs if pair[1].kind == TAXELS]
     frames = skins[0][0].times
@@ -191,11 +197,7 @@ def _kept(times: Array, pairs: Pairs) -> NDArray[np.bool_]:
 
 
 def _interpolate(
-    out: NDArray[np.floating],
-    frames: Array,
-    stream: Stream,
-    given: StreamMap,
-    tared: Tared,
+    out: NDArray[np.floating], frames: Array, stream: Stream, given: StreamMap, tared: Tared
 ) -> None:
     """Write the readings of one skin at the frames to `out` (n, t); NaN in its gaps.
 

@@ -93,8 +93,5 @@ def section(
     if response is None:
         return {}
     words = ". ".join(f"{text[0].upper()}{text[1:]}" for text in response.describe())
-    lines = (
-        f"The response was learned together with the taxels. {words}.",
-        NOT_KNOWN,
-    )
+    lines = (f"The response was learned together with the taxels. {words}.", NOT_KNOWN)
     return {TITLE: [paragraphs(*lines), *(saved_figure(p) for p in pictures if p.png.stem == NAME)]}

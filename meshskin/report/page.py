@@ -11,12 +11,14 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from ..core.atomic_io import write_text
+from ..core.beside import Beside
 from ..core.progress import Progress
 from . import markup
 from .data import ReportData
 from .figure_set import EARLY, Drawn, draw_figures, draw_named
 from .markup import Content
 from .sections import content
+from .theme import load_matplotlib
 
 if TYPE_CHECKING:
     from ..estimation.cross_validation import CrossValidation
@@ -86,9 +88,11 @@ def report(
     return draw(Path(path), data, progress, beside=True)[0]
 
 
-def draw_early(folder: Path, data: ReportData) -> Drawn:
-    """Draw the figures of EARLY into the folder of the page."""
-    return draw_named(folder / FIGURES, data, EARLY)
+def draw_early(folder: Path, data: ReportData, forked: bool) -> Beside[Drawn]:
+    """The figures of EARLY, drawn into the folder of the page in a forked process, or on demand."""
+    if forked:
+        load_matplotlib()  # once, not in both processes
+    return Beside(lambda: draw_named(folder / FIGURES, data, EARLY), forked)
 
 
 def draw(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..estimation.uncertainty.metrics import is_ideal
+from ..estimation.uncertainty.verdict import PASS
 from . import advice, evidence, learned_response, scene3d
 from .data import METHOD_DESCRIPTIONS, PAPER_REFERENCE, ReportData, method_name
 from .figure_set import ACCURACY_TIME, RESIDUALS
@@ -77,8 +78,9 @@ def content(data: ReportData, pictures: Sequence[SavedFigure]) -> Content:
     kind = "simulation with known truth" if data.truth is not None else "recording"
     verdict, steps = data.calibration.verdict, advice.next_steps(data)
     reasons = {}
-    if verdict is not None and verdict.reasons:
-        reasons["Verdict"] = [bullets(f"{verdict.level}:", verdict.reasons)]
+    if verdict is not None:
+        lists = {f"{verdict.level}:": verdict.reasons, "Not tested:": _untested(data)}
+        reasons["Verdict"] = [bullets(first, points) for first, points in lists.items() if points]
     sections = {
         **reasons,
         "Recommendations": [bullets("", steps)] if steps else [],
@@ -261,7 +263,18 @@ def summary_sentence(data: ReportData) -> str:
     verdict = data.calibration.verdict
     departure = str((data.metrics.get("force") or {}).get("departure") or "")
     left = f"{departure[0].upper()}{departure[1:]}. " if departure else ""
-    return ("" if verdict is None else VERDICTS[verdict.level]) + left + _result(data)
+    if verdict is None:
+        return left + _result(data)
+    words = VERDICTS[verdict.level]
+    if verdict.level == PASS and _untested(data):
+        words = "PASS, but for what this log cannot show (see below). "
+    return words + left + _result(data)
+
+
+def _untested(data: ReportData) -> tuple[str, ...]:
+    """Errors that the recording cannot show; a simulation has none of them."""
+    verdict = data.calibration.verdict
+    return () if verdict is None or data.truth is not None else verdict.untested
 
 
 def _result(data: ReportData) -> str:

@@ -67,6 +67,11 @@ class ContactMotion:
             object.__setattr__(self, name, array)
 
     @property
+    def by_joints(self) -> bool:
+        """Whether the contacts follow from joint angles: recorded ones move with the body alone."""
+        return not self.labels[0].startswith("body_offset")
+
+    @property
     def size(self) -> int:
         """Number k of entries of u."""
         return int(self.root.shape[1])

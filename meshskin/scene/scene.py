@@ -256,10 +256,7 @@ class Scene(Value, NamedFields, Card):
     def reading_model(self) -> ReadingModel:
         """The pressures that contacts cause without effects."""
         return ReadingModel(
-            self.model,
-            self.skin.disc_radius,
-            self.indenter.radius,
-            self.material.effective_modulus,
+            self.model, self.skin.disc_radius, self.indenter.radius, self.material.effective_modulus
         )
 
     def context(self, seed: int) -> Context:

@@ -189,12 +189,7 @@ def prepare(scene: Scene, path: ExplorationPath | None = None) -> tuple[Simulato
     else:
         rest = loop.arm.inverse_kinematics(path.poses[:1] @ inverse(scene.mount_pose), start)[0]
     simulator = Simulator(
-        scene.body,
-        loop,
-        start,
-        path.points[0],
-        compile_=scene.loop.compile,
-        steps=len(path.points),
+        scene.body, loop, start, path.points[0], compile_=scene.loop.compile, steps=len(path.points)
     )
     at_rest = path.references[0] * ([1.0] * 12 + [0.0] * 6)
     stability.check_step(simulator, rest, at_rest)

@@ -110,11 +110,7 @@ def press_path(scene: Scene, path: Path, seed: int, chain: EffectPipeline | None
 
 
 def _record(
-    scene: Scene,
-    frames: Frames,
-    chain: EffectPipeline,
-    seed: int,
-    progress: Progress | None = None,
+    scene: Scene, frames: Frames, chain: EffectPipeline, seed: int, progress: Progress | None = None
 ) -> Recording:
     """The recording of static contacts."""
     count, size = len(frames), max(int(BATCH_CELLS / len(scene.skin)), 1)

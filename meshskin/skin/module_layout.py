@@ -15,8 +15,6 @@ overlaps. If some remain when the layout no longer improves, the most crowded mo
 from __future__ import annotations
 
 import numpy as np
-from rtree.index import Index as BoxIndex
-from rtree.index import Property
 from scipy.spatial import KDTree
 
 from ..core.arguments import check_integer, check_real
@@ -105,8 +103,10 @@ class _Layout:
     """Modules that do not overlap, and their bounding boxes in an R-tree."""
 
     def __init__(self) -> None:
+        from rtree import index as rtree
+
         self.poses: list[Array] = []
-        self._boxes = BoxIndex(properties=Property(dimension=3))
+        self._boxes = rtree.Index(properties=rtree.Property(dimension=3))
 
     def add(self, poses: Array) -> Array:
         """Add those of the poses (k, 4, 4), in their order, that overlap none added before."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import meshskin as ms
+from meshskin.core import arguments
 from meshskin.core.errors import MeshskinError
 
 
@@ -161,3 +162,11 @@ def test_messages_are_one_line_without_control_characters():
 def test_paths_that_are_none_and_millimetres(call, words):
     with pytest.raises(MeshskinError, match=words):
         call()
+
+
+def test_long_values_are_cut_between_words():
+    names = ", ".join(f"column{k}" for k in range(20))
+    cut = arguments.repr_short([names])
+    assert cut.endswith("column4, ...") or cut.endswith("column5, ...")
+    assert len(cut) <= arguments.REPR_LENGTH + 1
+    assert arguments.repr_short("x" * 100) == f"'{'x' * 56}..."

@@ -387,7 +387,9 @@ def test_messages_that_arrive_late_are_sorted_by_their_stamps(tmp_path, back):
     np.testing.assert_array_equal(stream.values[:, 0], np.sort(np.round(1e3 * stamps)))
 
 
-def test_messages_in_json(tmp_path):
+@pytest.mark.parametrize(("field", "unit"), [("stamp", 1.0), ("stamp_ms", 1e-3)])
+def test_messages_in_json(tmp_path, field, unit):
+    """With the unit in the name of the field of times."""
     path = tmp_path / "json.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
@@ -395,10 +397,11 @@ def test_messages_in_json(tmp_path):
         schema = writer.register_schema("skin", "jsonschema", b"{}")
         channel = writer.register_channel("/skin", "json", schema)
         for k in range(3):
-            data = f'{{"stamp": {k / 10}, "pads": [{{"v": [1, 2, {k}]}}, {{"v": [4, 5]}}]}}'
+            pads = f'"pads": [{{"v": [1, 2, {k}]}}, {{"v": [4, 5]}}]'
+            data = f'{{"{field}": {k / 10 / unit}, {pads}}}'
             writer.add_message(channel, log_time=k, data=data.encode(), publish_time=k)
         writer.finish()
-    stream = StreamMap("/skin", "taxels", ("pads[].v",), time="stamp")
+    stream = StreamMap("/skin", "taxels", ("pads[].v",), time=field)
     log = read_log(path, LogMap((stream,)))
     np.testing.assert_array_equal(log["/skin"].values, [[1, 2, k, 4, 5] for k in range(3)])
     np.testing.assert_allclose(log["/skin"].times, [0, 0.1, 0.2])

@@ -68,11 +68,26 @@ def test_a_unit_of_time_in_brackets_names_the_times(tmp_path):
     for columns, name in (
         ({"Delay [ms]": 0 * times, "time_ms": 1e3 * times}, "time_ms"),
         ({"Zeit [ms]": 1e3 * times}, "Zeit [ms]"),
+        ({"ms": 1e3 * times}, "ms"),
+        ({"latency [ms]": np.arange(N), "[ms]": 1e3 * times}, "[ms]"),
     ):
         log, could = read_and_suggest(csv(tmp_path / "log.csv", columns | joint))
         np.testing.assert_allclose(log["joints"].times, times, atol=1e-12)
         assert could["joints"][0].kind == "joints"
         assert name not in could
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [(("latency [ms]",), "no column of times"), (("Start [ms]", "Ende [ms]"), "several columns")],
+)
+def test_durations_and_two_times_are_asked_about(tmp_path, columns, words):
+    """Both grow as times do."""
+    path = csv(tmp_path / "log.csv", dict.fromkeys((*columns, "l_elbow"), 20.0 * np.arange(N)))
+    with pytest.raises(RecordingError, match=words):
+        read_and_suggest(path)
+    log = read_log(path, LogMap((StreamMap("l_elbow", "joints", time=columns[-1]),)))
+    assert log.streams[0].period == pytest.approx(0.02)
 
 
 def test_joints_by_a_word_of_their_name(tmp_path):

@@ -6,6 +6,7 @@ import pytest
 from meshskin.core.errors import RecordingError, UnknownNameError
 from meshskin.recording.log_map import LogMap, StreamMap
 from meshskin.recording.readers import read_and_suggest, read_log
+from meshskin.recording.resample import log_frames
 from meshskin.recording.tare import tare
 
 from ..real_data import DATA
@@ -178,3 +179,5 @@ def test_taxels_of_a_real_recording_are_in_contact_when_they_are_active():
     found = tare(taxels.times, taxels.values)
     assert not found.falling
     assert np.mean(found.in_contact == active) > 0.998
+    (note,) = log_frames(log, LogMap(maps)).notes
+    assert "computed by the robot from its own map of the taxels" in note

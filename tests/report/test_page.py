@@ -233,7 +233,10 @@ def test_without_truth_the_stated_uncertainty_is_given(
         metrics=None,
         comparisons={},
         recording=case.recording(False),
+        calibration=replace(case.calibration(), verdict=Verdict("PASS", (), ("the mesh",))),
     )
+    assert "PASS, but for what this log cannot show (see below)." in shown.text
+    assert "Not tested: the mesh" in shown.text
     assert "stated uncertainty is 0.0141 mm (median standard deviation)" in shown.text
     assert "There is no truth to compare with" in shown.text
     assert "position error" not in shown.text.lower()

@@ -1,5 +1,8 @@
 """`meshskin study`, as a user meets it."""
 
+import contextlib
+import signal
+
 import pyarrow.parquet as pq
 import pytest
 
@@ -28,6 +31,28 @@ def test_a_study_is_run_and_run_again(study, tmp_path, capsys):
         assert printed.err.startswith("cases "), "one line for the stage"
     assert pq.read_table(tmp_path / "out" / "table.parquet").num_rows == 6
     assert len((tmp_path / "out" / "table.csv").read_text().splitlines()) == 7
+
+
+def test_an_interrupted_study_says_that_it_can_be_continued(study, tmp_path, capsys, monkeypatch):
+    @contextlib.contextmanager
+    def interrupting(quiet):
+        def show(stage, done, total, note):
+            if done == 2:
+                signal.raise_signal(signal.SIGINT)
+
+        yield show
+
+    file = study("run.x = [1, 2]", 'run = "study_runs:plain"\nseeds = 3')
+    command = ["study", file, "--out", str(tmp_path / "out"), "--workers", "1"]
+    with monkeypatch.context() as patch:
+        patch.setattr(cli.study, "bar", interrupting)
+        assert cli.main(command) == cli.INTERRUPTED
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == (
+        f"meshskin: cases that are done are kept in {tmp_path / 'out'}; the same command continues"
+    )
+    assert cli.main(command) == 0
+    assert "mine: 6 cases, 0 failed" in capsys.readouterr().out
 
 
 @pytest.mark.deep

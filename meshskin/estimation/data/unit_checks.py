@@ -173,10 +173,7 @@ def _likely_unit(ratio: float, units: Mapping[str, float], expected: str) -> str
 
 def check_finite(recording: Recording) -> None:
     """Refuse contacts that are not finite, and many such readings."""
-    columns = {
-        "contact point": recording.points.sum(axis=1),
-        "force": recording.force,
-    }
+    columns = {"contact point": recording.points.sum(axis=1), "force": recording.force}
     if too_many_corrupt(~np.isfinite(recording.pressure)):
         columns["pressure"] = recording.pressure
     for what, values in columns.items():

@@ -7,6 +7,10 @@ in the world frame, and of the body move the contact points over the surface; th
 rotate with them, and the curvatures change, hence the patches. From where they are linearized,
 contacts move on a paraboloid, and the patches' sizes follow first-order gradients: a mesh's normals
 and curvatures change discontinuously from face to face.
+
+Under a learned response, joints move the contacts without a change of the patches' sizes.
+No known law gives how sizes vary over the body, and an error of that would displace all contacts
+and taxels together, beyond the stated errors.
 """
 
 from __future__ import annotations
@@ -67,7 +71,10 @@ class LinearizedContacts:
         if self.parameters.move_contacts:
             # The recorded points are on the believed surface only as well as they were recorded.
             self.data = self._relocated(about)
-            self.gradients = SurfaceGradients.at(self.data)
+            motion = self.parameters.motion
+            by_joints = motion is not None and motion.by_joints
+            alike = by_joints and "profile" in self.parameters.names
+            self.gradients = (SurfaceGradients.none if alike else SurfaceGradients.at)(self.data)
 
     def near(self, recorded: Measurements, about: Array) -> LinearizedContacts:
         """The contacts of `recorded` linearized at s = `about` (ks,): these, if they are; the

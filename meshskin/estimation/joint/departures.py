@@ -150,8 +150,9 @@ class FittedReadings:
         """Derivatives (k, q) of the readings in displacements of the contacts along `directions`
         (m, 3, q), body frame."""
         contact, found = self.readings.contact, np.zeros((len(self.mu), directions.shape[2]))
-        for axis in range(3):  # one by one: all need three times the memory
-            found -= directions[contact, axis] * self._gradient[:, axis, None]
+        for rows in (slice(k, k + 512) for k in range(0, len(found), 512)):  # fits into a cache
+            for axis in range(3):
+                found[rows] -= directions[contact[rows], axis] * self._gradient[rows, axis, None]
         return found
 
     @cached_property
@@ -205,8 +206,7 @@ class FittedReadings:
         parameters that all taxels share; and what those other than the errors of the contacts do
         not, whose products with `rate` are the terms of the marginal likelihood's derivative."""
         if self.system is not None:
-            weighted = self.curvature[:, None] * columns
-            parts = self.system.transposed(self.jacobian, weighted)
+            parts = self.system.transposed(self.jacobian, self.curvature[:, None] * columns)
             taxels, contacts, shared = self.system.solve(*parts)
             left = columns - self.system.forward(self.jacobian, (taxels, contacts, shared))
             fixed = taxels, np.zeros_like(contacts), shared

@@ -244,10 +244,7 @@ def neighbours(
     other = np.where(nearest[:, 0] == own, nearest[:, 1], nearest[:, 0])
     mutual = (other[other] == own) & (own < other) & (taxel == taxel[other])
     in_time = (np.diff(taxel) == 0) & (np.diff(contact) <= MAX_STEPS) & (own[:-1] % 2 == 0)
-    return [
-        (rows[mutual], rows[other[mutual]]),
-        (rows[:-1][in_time], rows[1:][in_time]),
-    ]
+    return [(rows[mutual], rows[other[mutual]]), (rows[:-1][in_time], rows[1:][in_time])]
 
 
 def residual_variance(readings: Readings, r: Array, kept: Array) -> float:

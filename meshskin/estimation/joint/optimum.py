@@ -105,9 +105,8 @@ def _result(optimum: Optimum) -> EstimatorResult:
 
     covariance, shared = (scale * part for part in problem.covariances(state, optimum.reduced))
     lost, reasons = estimator.unconverged | estimator.broken, optimum.reasons.copy()
-    reasons[estimator.live] = ""
-    reasons[estimator.live[estimator.broken]] = MOSTLY_OUTLIERS
-    reasons[estimator.live[estimator.unconverged]] = UNCONVERGED
+    named = np.where(estimator.broken, MOSTLY_OUTLIERS, "")
+    reasons[estimator.live] = np.where(estimator.unconverged, UNCONVERGED, named)
     unit = 1.0 if data.noise is not None and not data.noise_pairs else scale
     information, gains = problem.information(state)
     six: Array | None = None

@@ -122,6 +122,11 @@ class SurfaceGradients:
     """Of the rotation of the patch's axes about the normal (m, 3), rad/m."""
 
     @classmethod
+    def none(cls, data: Measurements) -> SurfaceGradients:
+        """No gradients at the contacts of `data`."""
+        return cls(*np.zeros((5, len(data.points), 3)))
+
+    @classmethod
     def at(cls, data: Measurements) -> SurfaceGradients:
         """The gradients at the contacts of `data`, by central differences."""
         found = []

@@ -65,10 +65,7 @@ TOO_NOISY = f"noise at rest is more than {NOISY:g} times that of most taxels: re
 
 
 def calibrate_log(
-    log: SkinLog,
-    kinematics: ContactKinematics,
-    belief: Belief,
-    progress: Progress | None = None,
+    log: SkinLog, kinematics: ContactKinematics, belief: Belief, progress: Progress | None = None
 ) -> LogCalibration:
     """Calibrate the skin of a log, and the unknowns of the robot that its contacts follow from.
 
@@ -257,11 +254,7 @@ def _exceeds(found: Calibration, noise: float | None) -> bool:
 
 
 def _started(
-    log: SkinLog,
-    kinematics: ContactKinematics,
-    path: JointPath,
-    belief: Belief,
-    clock: float = 0.0,
+    log: SkinLog, kinematics: ContactKinematics, path: JointPath, belief: Belief, clock: float = 0.0
 ) -> tuple[SkinLog, float, Heights, Array]:
     """The log of the steady contacts, the first offset of the clocks, s, their heights on that
     clock, and x (K + 3,) that meets these. clock: an offset, s, to begin with.

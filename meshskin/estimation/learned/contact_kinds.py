@@ -45,6 +45,9 @@ MIN_SEEN = 0.1
 """Mean square of a direction's part along the surface, relative to the largest, from which the mean
 of a kind is estimated in it: a skin that covers a small part of a ball hardly shows its normal, in
 which errors of forces passed for a displacement by 6 mm."""
+LEAST_SEEN = 1e-9
+"""Information of a direction, relative to the prior, up to which it is rounding: a displacement in
+it would be without limit."""
 SHARES = (0.2, 0.5, 0.8)
 """Shares of the second kind from which the means are sought."""
 MAX_CONTACTS = 1000
@@ -132,7 +135,9 @@ class _Displacements:
         self.information = (vectors * value[:, None]) @ np.swapaxes(vectors, 1, 2)
         """(m, 2, 2)."""
         errors = effects.unknowns.errors[used, :2]
-        self.linear = np.einsum("mij,mj->mi", self.information + np.diag(prior), errors)
+        right = np.einsum("mij,mj->mi", self.information + np.diag(prior), errors)
+        known = vectors * (value > LEAST_SEEN * prior.max())[:, None]
+        self.linear = np.einsum("mik,mjk,mj->mi", known, vectors, right)
         """Information times displacement (m, 2), without the prior."""
         self.tangents = tangents(effects)[used]
         value, vectors = np.linalg.eigh(np.einsum("mai,maj->ij", self.tangents, self.tangents))

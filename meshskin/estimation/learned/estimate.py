@@ -119,11 +119,9 @@ def _unconverged(value: str, belief: Belief) -> UnconvergedError:
 def _attempt(
     data: Measurements, excluded: tuple[str, ...], stage: Stage, former: Former | None
 ) -> EstimatorResult | tuple[Measurements, tuple[str, ...]]:
-    """As `estimate`, or the measurements and departures to exclude in another attempt;
-    SingularMatrixError where normal equations are singular. excluded: departures that are not
-    estimated, as without outlying readings they came out implausible."""
-    clock, recorded = time.perf_counter(), data
-    stuck = fault_detection.stuck_taxels(data)
+    """As `estimate`, or the measurements and departures to exclude in another attempt. excluded:
+    departures that came out implausible, which are left out. Raises SingularMatrixError."""
+    clock, recorded, stuck = time.perf_counter(), data, fault_detection.stuck_taxels(data)
     # readings far from the contacts, such as those that hysteresis leaves, do not tell the place
     data = coactivation.without_distant_readings(data)
     start = coactivation.initial_estimate(data, trilaterate.least_squares(data))
@@ -151,9 +149,8 @@ def _attempt(
     if ended and len(bad := _displaced(effects, recorded)):
         return recorded.without_contacts(bad), excluded
     for repeated in range(MAX_ROUNDS if ended else 1):  # others would not bring it to rest
-        estimator = outlier_rejection.reject_outliers(
-            _frozen(effects, live, weight) if repeated else frozen
-        )
+        frozen = _frozen(effects, live, weight) if repeated else frozen
+        estimator = outlier_rejection.reject_outliers(frozen)
         rivals = resolve_rivals(estimator) if ended or settled else RivalOptima.none(len(live))
         if not _changed(effects, estimator, weight):
             break
@@ -172,9 +169,8 @@ def _attempt(
         found = moved_to_modules(data, found, effects.system(), live)
         if data.heights is None and (heights := heights_of_taxels(data, found)) is not None:
             return replace(recorded, heights=heights), excluded
-    fitted = effects.fitted()
-    jump, kinds = largest_jump(fitted), contact_kinds(effects)
-    jump = max(jump, _jump_without_errors(effects, live), key=lambda jump: jump.score)
+    fitted, kinds = effects.fitted(), contact_kinds(effects)
+    jump = max(largest_jump(fitted), _jump_without_errors(effects, live), key=lambda x: x.score)
     former = Former(effects, estimator, departures, ended, excluded)
     departures = {**response_groups(fitted).departure, **departures, **found.departures}
     departures |= jump.departure | kinds.departure
@@ -342,7 +338,5 @@ def _restarted(effects: RandomEffects, estimator: JointEstimator) -> RandomEffec
     weight = np.where(estimator.weight < 0.5, 0.0, 1.0)
     reach = estimator.selected_at[2] if effects.electronics is None else 0.0
     readings = select(data, estimator.live, points, normals, reach, weight, estimator.silent_weight)
-    return RandomEffects(
-        data, readings, replace(u, parametrization=parametrization), effects.deviations,
-        stage=effects.stage,
-    )  # fmt: skip
+    unknowns = replace(u, parametrization=parametrization)
+    return RandomEffects(data, readings, unknowns, effects.deviations, stage=effects.stage)

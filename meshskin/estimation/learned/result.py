@@ -16,13 +16,7 @@ from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION
 from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
 from ..joint.departures import FittedReadings
-from ..joint.gain_changes import (
-    GAIN_CHANGES,
-    OWN_DRIFTS,
-    displacements,
-    gain_changes,
-    own_drifts,
-)
+from ..joint.gain_changes import GAIN_CHANGES, OWN_DRIFTS, displacements, gain_changes, own_drifts
 from ..joint.held_lags import HELD_LAGS, NAMED, held_lags
 from ..joint.joint_estimator import MAX_CHI2, JointEstimator
 from ..joint.leaks import LOST_SHARE, further_shares, leak_covariances, lost_share

@@ -239,12 +239,7 @@ def summary(estimator: JointEstimator, misfits: np.ndarray) -> LocalEstimate:
 
 
 def examine(
-    data: Measurements,
-    weight: Array,
-    charts: Charts,
-    nuisance: Array,
-    s: Array,
-    covariance: Array,
+    data: Measurements, weight: Array, charts: Charts, nuisance: Array, s: Array, covariance: Array
 ) -> Generator[None, None, tuple[Array, Array, np.ndarray]]:
     """Look for other positions of t taxels at converged estimates, the origins of `charts`, as the
     batch estimate does (joint/rival_optima.py, joint/likelihood_widths.py).

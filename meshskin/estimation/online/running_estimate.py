@@ -120,11 +120,15 @@ class RunningEstimate:
         return np.where(info.placed[:, None, None], found, np.diag([np.inf, np.inf]))
 
     @property
+    def sure(self) -> np.ndarray:
+        """Placed taxels (n,) bool whose readings fit and allow one place."""
+        examined = self.unique & (GROWTH * self.examined >= self.store.counts)
+        return np.asarray(self.information.placed & self.fits & (~self.open | examined))
+
+    @property
     def determined(self) -> np.ndarray:
         """Taxels (n,) bool whose readings fit and allow one place, within a contact radius."""
-        info = self.information
-        sure = ~self.open | (self.unique & (GROWTH * self.examined >= self.store.counts))
-        found = info.placed & self.fits & sure & (self.moved < MAX_MOVE)
+        found = self.sure & (self.moved < MAX_MOVE)
         worst = np.full(len(found), np.inf)
         worst[found] = np.linalg.eigvalsh(self.covariances[found])[:, 1]
         return np.asarray(worst < self.radius**2)

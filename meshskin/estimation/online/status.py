@@ -184,7 +184,8 @@ class Judge:
         if not (level := self._fit_test.look(contacts)):  # however few of them count
             return
         placed, pairs = estimate.information.placed, estimate.store.template.noise_pairs
-        used = placed & estimate.fits & (estimate.moved < MAX_WAITING_MOVE)
+        # one whose contacts all lie to one side may be on the wrong side of them
+        used = estimate.sure & (estimate.moved < MAX_WAITING_MOVE)
         square = float(estimate.square[used].sum())
         freedom = float(estimate.freedom[used].sum()) - len(estimate.parameters.sigma)
         unfit = int(np.sum(placed & ~estimate.fits))

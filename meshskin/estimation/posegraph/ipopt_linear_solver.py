@@ -81,11 +81,7 @@ class IpoptLinearSolver:
 
 
 def _options(library: ctypes.CDLL) -> dict[str, object]:
-    return {
-        "linear_solver": "ma57",
-        "hsllib": library._name,
-        "linear_system_scaling": "none",
-    }
+    return {"linear_solver": "ma57", "hsllib": library._name, "linear_system_scaling": "none"}
 
 
 @functools.cache

@@ -22,13 +22,7 @@ from ...core import se3
 from ...core.arrays import Array
 from ...core.errors import GraphError
 from ...core.progress import Stage
-from .edge_assembly import (
-    DISPLACEMENT,
-    EDGE,
-    SQRT_INFORMATION,
-    displacements,
-    weighted_errors,
-)
+from .edge_assembly import DISPLACEMENT, EDGE, SQRT_INFORMATION, displacements, weighted_errors
 from .problem import PoseGraphProblem, pack_parameters
 from .symbolic_factorization import IntArray
 from .symmetric_blocks import UPPER

@@ -90,10 +90,8 @@ def recalibrate(
     errors, found = max(fits, key=lambda fit: _score(fit[0], fit[1], touches, limit))
     findings = _findings(known, found)
     strongest = [e.changes[0].log_evidence if e.changes else e.log_evidence for e in found]
-    placed = [
-        bool(e.touched.any()) and is_placed(touches, u, errors, e.state)
-        for u, e in enumerate(found)
-    ]
+    units = enumerate(found)
+    placed = [e.touched.any() and is_placed(touches, u, errors, e.state) for u, e in units]
     return Recalibration(
         calibration=updated(known, belief, found, findings, len(touches.data.points)),
         findings=findings,

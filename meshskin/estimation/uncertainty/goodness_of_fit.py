@@ -35,7 +35,7 @@ OF_ROBOT = "mount", "indenter_position", "indenter_radius", "mesh_scale"
 def undeclared(belief: Belief) -> str:
     """What may still be declared unknown of where the contacts are, in words; "" for nothing."""
     motion = belief.contact_motion
-    by_joints = motion is not None and not motion.labels[0].startswith("body_offset")
+    by_joints = motion is not None and motion.by_joints
     known = {*belief.unknown, *(label.split()[0] for label in (motion.labels if motion else ()))}
     names = [name for name in (OF_ROBOT if by_joints else OF_CONTACTS) if name not in known]
     return f"declare {' or '.join(names)} unknown" if names else ""

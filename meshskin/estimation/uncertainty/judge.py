@@ -7,7 +7,7 @@ contact points, the contact points against the believed surface, and the columns
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -15,13 +15,7 @@ from ...core.arrays import Array
 from ...recording.recording import Recording
 from ..calibration import Calibration
 from ..data import delay
-from ..data.global_parameters import (
-    ELECTRONICS,
-    LEARNED,
-    PRIOR_SIGMAS,
-    SIZES,
-    declared_parameters,
-)
+from ..data.global_parameters import ELECTRONICS, LEARNED, PRIOR_SIGMAS, SIZES, declared_parameters
 from ..data.measurements import Measurements
 from ..data.patch_shape import MAX_EDGES
 from ..joint.departures import MIN_SCORE
@@ -29,6 +23,7 @@ from ..learned.contact_correlations import MAX_CORRELATION
 from . import mounted_anew, recorded_normals, swapped_axes, verdict, weighted_means
 from .contact_errors import SURFACE_DEPTHS, displacement, nearer_points, on_surface
 from .goodness_of_fit import STRONG, undeclared
+from .unseen_motions import unseen_motions
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
 
 MAX_MISFIT = 0.05
@@ -63,33 +58,33 @@ def judge(
 ) -> Verdict:
     """The verdict on the calibration of `data`, which were gathered from `recording`; departures:
     as `EstimatorResult.departures`; places: `SecondPlaces.findings`."""
-    checks: tuple[Callable[[], list[Finding]], ...] = (
-        lambda: _fit(data, calibration),
-        lambda: _departures(data, calibration, departures),
-        lambda: _late(data),
-        lambda: _ahead(data, calibration),
-        lambda: _noise(data, calibration),
-        lambda: _modulus(data, calibration),
-        lambda: verdict.scale(data, calibration),
-        lambda: _priors(data, calibration),
-        lambda: _of_log(recording, data, calibration.unknowns),
-        lambda: _edges(data),
-        lambda: weighted_means.findings(data, calibration),
-        lambda: places,
-        lambda: verdict.forces(recording, calibration),
-        lambda: verdict.force_offset(data, calibration),
-        lambda: verdict.alike(calibration),
-        lambda: verdict.few_readings(calibration),
-        lambda: verdict.profile(data, calibration),
-        lambda: verdict.joint_angles(recording, data),
-        lambda: verdict.times(recording),
-        lambda: verdict.clocks(recording, data, calibration),
-        lambda: _faults(calibration),
-        lambda: _contacts(data, calibration),
-    )
-    found = [finding for check in checks for finding in check()]
+    found: list[Finding] = [
+        *_fit(data, calibration),
+        *_departures(data, calibration, departures),
+        *_late(data),
+        *_ahead(data, calibration),
+        *_noise(data, calibration),
+        *_modulus(data, calibration),
+        *verdict.scale(data, calibration),
+        *_priors(data, calibration),
+        *_of_log(recording, data, calibration.unknowns),
+        *_edges(data),
+        *weighted_means.findings(data, calibration),
+        *places,
+        *verdict.forces(recording, calibration),
+        *verdict.force_offset(data, calibration),
+        *verdict.alike(calibration),
+        *verdict.few_readings(calibration),
+        *verdict.profile(data, calibration),
+        *verdict.joint_angles(recording, data),
+        *verdict.times(recording),
+        *verdict.clocks(recording, data, calibration),
+        *_faults(calibration),
+        *_contacts(data, calibration),
+    ]
     found.sort(key=lambda finding: -LEVELS.index(finding[0]))
-    return Verdict(found[0][0] if found else PASS, tuple(words for _, words in found))
+    level, reasons = found[0][0] if found else PASS, tuple(words for _, words in found)
+    return Verdict(level, reasons, unseen_motions(data))
 
 
 def fails_by_itself(recording: Recording, data: Measurements) -> bool:
@@ -102,50 +97,48 @@ def fails_by_itself(recording: Recording, data: Measurements) -> bool:
 
 def _of_log(
     recording: Recording, data: Measurements, unknowns: Mapping[str, tuple[float, float]]
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Findings on the columns of the log that use no estimate but the offsets among `unknowns`."""
     points = nearer_points(data, unknowns)
-    return [
-        *_surface(data, points),
-        *recorded_normals.findings(recording, data),
-        *swapped_axes.findings(recording, data, points),
-        *mounted_anew.findings(data, points),
-        *verdict.pressures(recording, data),
-    ]
+    yield from _surface(data, points)
+    yield from recorded_normals.findings(recording, data)
+    yield from swapped_axes.findings(recording, data, points)
+    yield from mounted_anew.findings(data, points)
+    yield from verdict.pressures(recording, data)
 
 
-def _fit(data: Measurements, calibration: Calibration) -> list[Finding]:
+def _fit(data: Measurements, calibration: Calibration) -> Iterator[Finding]:
     """The test of fit."""
     fit = calibration.fit
     if fit is None:
-        words = (
+        yield verdict.doubt(
             f"the method {calibration.method} has no test of fit: compare with the verdict of "
             'method="joint"'
         )
-        return [(DOUBT, words)]
+        return
     if fit.good and data.noise is not None and fit.reduced < MAX_OVERSTATED**-2:
-        words = (
+        yield verdict.doubt(
             f"residuals are {fit.reduced**0.5:.2g} times the stated noise, {fit.noise:.3g} Pa "
             f"(limit {1 / MAX_OVERSTATED:.2g}): the pressures are too small, or it is overstated; "
             "check the scale of pressures, or leave noise_sigma out of the belief"
         )
-        return [(DOUBT, words)]
+        return
     if fit.good is not False:
-        return []
+        return
     beyond = fit.noise * max(fit.reduced - 1.0, 0.0) ** 0.5
     severe = beyond > MAX_MISFIT * float(np.quantile(data.pressure, STRONG))
-    return [(FAIL if severe else DOUBT, fit.words)]
+    yield FAIL if severe else DOUBT, fit.words
 
 
 def _departures(
     data: Measurements, calibration: Calibration, departures: Mapping[str, float]
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Departures from the model that the readings show and the estimate does not include."""
     if calibration.fit is not None and calibration.fit.of_computing(data.pressure):
-        return []
+        return
     shown = sorted((-score, name) for name, score in departures.items() if score > MIN_SCORE)
     if not shown:
-        return []
+        return
     named = [f"{name} (score {-score:.3g})" for score, name in shown[:NAMED]]
     if len(shown) > NAMED:
         named.append(f"{len(shown) - NAMED} weaker ones")
@@ -157,47 +150,45 @@ def _departures(
         words += ": its standard deviations can be too small"
     if calibration.response is None and data.belief.module_slots is None:
         words += '; let it learn the response: contact="learned"'
-    return [(DOUBT, words)]
+    yield DOUBT, words
 
 
-def _noise(data: Measurements, calibration: Calibration) -> list[Finding]:
+def _noise(data: Measurements, calibration: Calibration) -> Iterator[Finding]:
     """The estimated noise: more than that of any sensor is an error of the log."""
     fit, largest = calibration.fit, np.zeros(len(data.ids))
     np.maximum.at(largest, data.taxel, data.pressure)
     strong = float(np.median(largest[data.counts > 0]))  # most readings may be noise
     if data.noise is not None or fit is None or not fit.noise > MAX_NOISE * strong:
-        return []
-    words = (
+        return
+    yield verdict.doubt(
         f"the noise, estimated from neighbouring contacts, is {fit.noise / strong:.0%} of the "
         f"taxels' largest readings (limit {MAX_NOISE:.0%}): check the times of the readings and "
         "the contact points, or state the sensor's noise"
     )
-    return [(DOUBT, words)]
 
 
-def _late(data: Measurements) -> list[Finding]:
+def _late(data: Measurements) -> Iterator[Finding]:
     """Readings that fit the contacts some frames earlier or later better."""
     if data.delays:
         parts = (f"from {part:.0%} of the recording on {_frames(k)}" for part, k in data.delays[1:])
-        words = (
+        yield verdict.doubt(
             f"the readings are {_frames(data.delay)}, {', '.join(parts)}: without these delays the "
             "contacts that each taxel responds to lie closer together, and they were removed; look "
             "for frames that were lost or doubled there, and for clocks that run at different "
             "rates, and correct the times of the readings"
         )
-        return [(DOUBT, words)]
+        return
     if not data.delay:
-        return []
+        return
     moved, _ = delay.displacements(data, data.delay)
     path = float(np.median(np.linalg.norm(moved, axis=1)))
-    words = (
+    yield verdict.doubt(
         f"the readings are {_frames(data.delay)}, in which the "
         f"contact moves {1e3 * path:.2g} mm: without this delay the contacts that each taxel "
         "responds to lie closer together, and it was removed; the standard deviations include a "
         "delay of a part of a frame; correct the times of the readings, unless the skin is dragged "
         "along, which has the same effect"
     )
-    return [(DOUBT, words)]
 
 
 def _frames(late: int) -> str:
@@ -207,58 +198,54 @@ def _frames(late: int) -> str:
     return f"{count} too {'late' if late > 0 else 'early'}"
 
 
-def _ahead(data: Measurements, calibration: Calibration) -> list[Finding]:
+def _ahead(data: Measurements, calibration: Calibration) -> Iterator[Finding]:
     """Patches ahead of the contacts: readings are taken a part of a frame after the contacts'
     times."""
     drag, sigma = calibration.unknowns.get("drag", (0.0, np.inf))
     if not drag < -MIN_AHEAD * sigma:  # nor where a sigma is unknown
-        return []
+        return
     step = float(np.median(np.linalg.norm(np.diff(data.points, axis=0), axis=1)))
-    words = (
+    yield verdict.doubt(
         f"the patches are {-1e3 * drag:.2g} mm ahead of the contacts ({-drag / sigma:.2g} standard "
         f"deviations, limit {MIN_AHEAD:g}): readings are taken {-drag / step:.2g} frames after the "
         "times of their contacts; taxels that are crossed in one direction do not show whether "
         "that holds for all: correct the times of the readings, or cross each taxel in several "
         "directions"
     )
-    return [(DOUBT, words)]
 
 
-def _modulus(data: Measurements, calibration: Calibration) -> list[Finding]:
+def _modulus(data: Measurements, calibration: Calibration) -> Iterator[Finding]:
     if calibration.modulus is None or calibration.modulus_sigma is None:
-        return []
+        return
     ratio = calibration.modulus / data.modulus
     level = level_of(max(ratio, 1 / ratio), MODULUS_FACTORS)
     if level == PASS:
-        return []
+        return
     words = (
         f"E* is {calibration.modulus / 1e3:.3g} kPa, {ratio:.3g} times the nominal "
         f"{data.modulus / 1e3:.3g} kPa (limit: a factor of {MODULUS_FACTORS[0]:g}): check the "
         "scale of pressures and forces, the indenter's radius and the nominal Young's modulus"
     )
-    return [(level, words)]
+    yield level, words
 
 
-def _priors(data: Measurements, calibration: Calibration) -> list[Finding]:
+def _priors(data: Measurements, calibration: Calibration) -> Iterator[Finding]:
     """Global parameters, other than those of a learned response, against their priors."""
     learned = {*LEARNED, *ELECTRONICS}  # free by design; errors of the forces bend the exponents
     names = tuple({label.split()[0] for label in calibration.unknowns} & (set(SIZES) - learned))
     force, peak = data.belief.force_reference or 1.0, data.nominal_peak
     declared = declared_parameters(names, data.belief.priors, force, peak)
-    found = []
     for label, sigma in zip(declared.labels, declared.sigma, strict=True):
         value, apart = calibration.unknowns[label][0], abs(calibration.unknowns[label][0]) / sigma
         if apart > PRIOR_SIGMAS:
-            words = (
+            yield verdict.doubt(
                 f"{label} is {value:.3g}, {apart:.3g} standard deviations of its prior, "
                 f"{sigma:.3g}, from zero (limit {PRIOR_SIGMAS:g}): another error of the log may "
                 "be the cause; check poses and times, or widen the prior (belief.priors)"
             )
-            found.append((DOUBT, words))
-    return found
 
 
-def _surface(data: Measurements, points: Array) -> list[Finding]:
+def _surface(data: Measurements, points: Array) -> Iterator[Finding]:
     """Distances of contact points (m, 3), m, from the believed surface."""
     hit, best = on_surface(data, points)
     distance, median = hit.distance, float(np.median(hit.distance))
@@ -268,7 +255,7 @@ def _surface(data: Measurements, points: Array) -> list[Finding]:
     size = max(typical, float(np.linalg.norm(move)), moved)
     level = level_of(size / depth, SURFACE_DEPTHS)
     if level == PASS:
-        return []
+        return
     side, extra = "above" if median > 0 else "below", ""
     where = f"{side} the believed surface" if abs(median) > 0.5 * typical else "off the surface"
     if best.turn.any() or best.stretch:
@@ -283,63 +270,59 @@ def _surface(data: Measurements, points: Array) -> list[Finding]:
     )
     if declare := undeclared(data.belief):
         words += f", or {declare}"
-    return [(level, words)]
+    yield level, words
 
 
-def _edges(data: Measurements) -> list[Finding]:
+def _edges(data: Measurements) -> Iterator[Finding]:
     """Contacts over edges of the body, where no contact model describes the patch."""
     count, all_contacts = data.edges, len(data.points)
     if count <= MAX_EDGES * all_contacts:
-        return []
-    words = (
+        return
+    yield verdict.doubt(
         f"{count} of {all_contacts} contacts are over edges of the body (limit {MAX_EDGES:.0%}), "
         "where the contact model does not hold: whether it holds elsewhere is not tested; let it "
         'learn the response: contact="learned"; or believe a smoother body'
     )
-    return [(DOUBT, words)]
 
 
-def _faults(calibration: Calibration) -> list[Finding]:
+def _faults(calibration: Calibration) -> Iterator[Finding]:
     if not np.isfinite(calibration.positions).all(axis=1).any():
         undetermined = "; ".join(calibration.undetermined) or "see the reasons of the taxels"
-        return [(FAIL, f"no taxel is determined: {undetermined}")]
+        yield FAIL, f"no taxel is determined: {undetermined}"
+        return
     if calibration.faults is None:
-        return []
+        return
     touched = np.asarray(calibration.touched, dtype=bool)
     faulty, limit = np.array([bool(words) for words in calibration.faults]) & touched, MAX_FAULTY
-    rivals, found = np.zeros(len(touched), dtype=bool), []
+    rivals = np.zeros(len(touched), dtype=bool)
     if calibration.rivals is not None:
         rivals = np.isfinite(calibration.rivals[:, 0])
     if rivals.sum() > limit * touched.sum():
-        words = (
+        yield verdict.doubt(
             f"two positions fit the readings of {rivals.sum()} of {touched.sum()} taxels (limit "
             f"{limit:.0%}): touch these taxels from more sides"
         )
-        found.append((DOUBT, words))
     if (faulty & ~rivals).sum() > limit * touched.sum():
-        words = (
+        yield verdict.doubt(
             f"{(faulty & ~rivals).sum()} of {touched.sum()} taxels have faults (limit "
             f"{limit:.0%}): so many point to the log or the contact model; see the faults of the "
             "taxels"
         )
-        found.append((DOUBT, words))
-    return found
 
 
-def _contacts(data: Measurements, calibration: Calibration) -> list[Finding]:
+def _contacts(data: Measurements, calibration: Calibration) -> Iterator[Finding]:
     """Displacements of the contacts that a learned response found: errors of a kinematic model or
     of the clocks are alike in neighbouring contacts, scatter is not."""
     response = calibration.response
     if response is None or response.contact_correlation < MAX_CORRELATION:
-        return []
+        return
     if response.contact_scatter < MIN_DISPLACEMENT * float(np.median(data.radii)):
-        return []
+        return
     declare = undeclared(data.belief)
-    words = (
+    yield verdict.doubt(
         f"contact points are {1e3 * response.contact_scatter:.2g} mm off, and neighbouring ones "
         f"alike (correlation {response.contact_correlation:.2f}, limit {MAX_CORRELATION:g}): this "
         "is not scatter, but an error of the kinematic model or of the clocks; "
         f"{declare + ', or ' * bool(declare)}correct the times; the standard deviations are "
         "widened for this correlation"
     )
-    return [(DOUBT, words)]

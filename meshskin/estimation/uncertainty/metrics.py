@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -47,11 +47,7 @@ def summary_mm(errors: Array) -> dict[str, float]:
     e = 1e3 * errors[np.isfinite(errors)]
     if not len(e):
         return dict.fromkeys(("mean", "rms", "max"), float("nan"))
-    return {
-        "mean": float(e.mean()),
-        "rms": float(np.sqrt(np.mean(e**2))),
-        "max": float(e.max()),
-    }
+    return {"mean": float(e.mean()), "rms": float(np.sqrt(np.mean(e**2))), "max": float(e.max())}
 
 
 def nees(calibration: Calibration, skin: Skin) -> Array:
@@ -130,7 +126,7 @@ def without_truth(calibration: Calibration, recording: Recording) -> dict[str, A
     """What metrics.json holds of every calibration; the digest is that of its recording."""
     response = calibration.response
     return {
-        "verdict": None if calibration.verdict is None else calibration.verdict.metrics(),
+        "verdict": None if calibration.verdict is None else asdict(calibration.verdict),
         "taxels": len(calibration.ids),
         "touched": int(calibration.touched.sum()),
         "contacts": len(recording.time),

@@ -6,13 +6,14 @@ those after it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...core.arrays import Array
 from ..data.measurements import Measurements
-from .verdict import DOUBT, Finding
+from .verdict import Finding, doubt
 
 PLACES = 16
 """Number of contacts, evenly spaced, at which a body may have moved."""
@@ -65,19 +66,18 @@ def displacements(data: Measurements, points: Array) -> Displacements:
     return Displacements(part, found[-1], one, two, apart)
 
 
-def findings(data: Measurements, points: Array) -> list[Finding]:
+def findings(data: Measurements, points: Array) -> Iterator[Finding]:
     """Findings on contact points (m, 3), m, by their distances from the believed surface."""
     rows = np.linspace(0, len(points) - 1, min(POINTS, len(points))).astype(int)
     if len(rows) < 2 * PLACES:
-        return []
+        return
     found = displacements(data, points[rows])
     if found.one < max((SMALL * data.indentation) ** 2, BETTER * found.two):
-        return []
-    words = (
+        return
+    yield doubt(
         f"the body or the indenter has moved in the course of the recording, at about "
         f"{found.part:.0%} of it: with one displacement of all contact points these lie "
         f"{1e3 * found.one**0.5:.2g} mm off the believed surface (rms); if those from there on are "
         f"displaced by another {1e3 * found.apart:.1g} mm, {1e3 * found.two**0.5:.2g} mm (limit: "
         f"{BETTER**0.5:g} times nearer); calibrate the parts one by one, or record again"
     )
-    return [(DOUBT, words)]

@@ -7,6 +7,7 @@ normals.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import permutations, product
 
@@ -68,21 +69,21 @@ def nearer_axes(data: Measurements, points: Array) -> NearerAxes:
     return NearerAxes(axes[best], recorded, nearest)
 
 
-def findings(recording: Recording, data: Measurements, points: Array) -> list[Finding]:
+def findings(recording: Recording, data: Measurements, points: Array) -> Iterator[Finding]:
     """Findings on the axes of contact points (m, 3), m, by their distances from the believed
     surface."""
     if recording.metadata.get("source") == JOINT_ANGLES:  # the points are the surface's
-        return []
+        return
     found = nearer_axes(data, points)
     if found.level == PASS:
-        return []
+        return
     words = (
         f"contact points lie {1e3 * found.recorded**0.5:.3g} mm off the believed surface (rms), "
         f"and {1e3 * found.nearest**0.5:.3g} mm with their axes as {_name(found.axes)} (limit: "
         f"{BETTER[0] ** 0.5:.2g} times as near): check the signs and the order of the axes of "
         "contacts and body"
     )
-    return [(found.level, words)]
+    yield found.level, words
 
 
 def signed_permutations() -> Array:

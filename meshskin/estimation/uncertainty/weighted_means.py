@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +30,7 @@ Hertz patch, 5 of a taxel as large as the patch (by quadrature, from 0.3 to 0.7 
 5.4)."""
 
 
-def findings(data: Measurements, calibration: Calibration) -> list[Finding]:
+def findings(data: Measurements, calibration: Calibration) -> Iterator[Finding]:
     """Positions against the pressure-weighted mean of contact points, over all taxels.
 
     The mean is compared with that of a round profile about the position, over the contacts that
@@ -38,18 +38,18 @@ def findings(data: Measurements, calibration: Calibration) -> list[Finding]:
     """
     found = _Compared.of(data, calibration)
     if not len(found.rows):
-        return []
+        return
     apart = np.linalg.norm(found.apart, axis=1)
     typical = float(np.median(apart / np.hypot(found.sigma, found.own)))
     level = level_of(typical, MEAN_SIGMAS)
     if level == PASS:
-        return []
+        return
     words = (
         f"positions are {1e3 * np.median(apart):.2g} mm from the pressure-weighted means of "
         f"their contact points, {typical:.2g} times what both standard deviations allow (limit "
         f"{MEAN_SIGMAS[0]:g}): check the contact model and the scale of pressures and forces"
     )
-    return [(level, words)]
+    yield level, words
 
 
 def widened(

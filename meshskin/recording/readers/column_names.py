@@ -20,6 +20,9 @@ from .contact_columns import contact_columns, plain
 
 TIME_NAMES = {"time", "t", "timestamp", "stamp"}
 """Names of the column of times, before their unit; without a unit they are in s."""
+DURATIONS = {"latency", "lag", "delay", "duration", "period", "interval", "jitter", "age", "dt",
+             "timeout", "cycle", "step"}  # fmt: skip
+"""Words of the names of columns in units of time that are not times of a clock."""
 JOINT_NAMES = {"q", "j", "joint", "joints", "position", "positions", "angle", "angles"}
 """Words of the names of columns that could be joint angles."""
 BODY_PARTS = {"shoulder", "elbow", "wrist", "hip", "knee", "ankle", "neck", "head", "torso",
@@ -46,9 +49,11 @@ _KNOWN = {*TIME_UNITS, *ANGLES, *(unit.lower() for units in UNITS.values() for u
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """The name of a column without its unit, and the unit in lower case, "" without one:
-    q_1_deg, time [ms]."""
+    """The name of a column without its unit, and the unit in lower case, "" without one: q_1_deg,
+    time [ms]. A name that is a unit of time, such as ms or [s], has no other part."""
     end = plain(name)
+    if end != "s" and end.lstrip("_") in TIME_UNITS:
+        return "", end.lstrip("_")
     match = _UNIT.fullmatch(end)
     if match is None or (match["unit"] not in _KNOWN and end == name.strip().lower()):
         return name.strip(), ""
@@ -56,12 +61,13 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def is_time(name: str) -> bool:
-    """Whether a column is named as one of times, alone or with a unit of time, or has such a unit
-    in brackets after any name: Zeit [ms]."""
+    """Whether a column is named as one of times, alone or with a unit of time, is such a unit, or
+    has it in brackets after any name but one of DURATIONS: Zeit [ms]."""
     base, unit = split_unit(name.lower().lstrip("%_ "))
     if base in TIME_NAMES:
         return not unit or unit in TIME_UNITS
-    return unit in TIME_UNITS and name.rstrip()[-1] in ")]"
+    named = not base or (name.rstrip()[-1] in ")]" and not words(base) & DURATIONS)
+    return unit in TIME_UNITS and named
 
 
 def groups(names: Sequence[str]) -> dict[str, list[str]]:

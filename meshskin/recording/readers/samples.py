@@ -12,6 +12,7 @@ from .. import field_path
 from ..log_map import RECEIPT, TIME_UNITS, StreamMap
 from ..message_types import KNOWN, NAME_PATHS, default_paths, short
 from ..stream import CONTACTS, JOINTS, POSE, TAXELS, WRENCH, Stream, contact_fields
+from .column_names import split_unit
 
 FIRST_ROWS = 1024
 """Rows allocated for a topic whose number of messages is unknown; they grow by half."""
@@ -66,6 +67,8 @@ class Samples:
         self.fields: list[str] = []
         self._columns: dict[tuple[str, ...], np.ndarray] = {}
         self._time = None if stream.time in ("", RECEIPT) else field_path.getter(stream.time)
+        unit = split_unit(stream.time.rpartition(".")[2])[1]
+        self._time_unit = TIME_UNITS.get(unit, TIME_UNITS[stream.time_unit])
         self._header = stream.time == ""
         self._names: field_path.Getter | None = None
         self._plain: Callable[[Any], Any] | None = None
@@ -144,7 +147,7 @@ class Samples:
             found = self._time(message)
             if len(found) != 1:
                 raise RecordingError("the time of a message must be one", value=f"{len(found)}")
-            return seconds(found[0], self.map.time, TIME_UNITS[self.map.time_unit])
+            return seconds(found[0], self.map.time, self._time_unit)
         if self._header and (header := getattr(message, "header", None)) is not None:
             stamp = seconds(header.stamp, "header.stamp")
             if self.messages == 0 and stamp == 0.0:

@@ -11,6 +11,7 @@ import fnmatch
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from ...core.arguments import repr_short
+from ...core.arguments import REPR_LENGTH, repr_short
 from ...core.arrays import Array
 from ...core.errors import RecordingError, UnknownNameError
 from ..log_map import TIME_UNITS, StreamMap
@@ -128,8 +129,9 @@ def _time_columns(file: CsvFile | ParquetFile, asked: str) -> list[str]:
     names = file.names
     if asked and asked in names:
         return [asked]
-    if not asked and (named := [name for name in names if is_time(name)]):
-        return [min(named, key=lambda name: not is_time(split_unit(name)[0]))]
+    named = [name for name in names if not asked and is_time(name)]
+    if usual := [name for name in named if is_time(split_unit(name)[0])]:
+        return usual[:1]
     for name in names:
         start, _, end = name.rpartition(".")
         start = f"{start}." if start else ""
@@ -141,9 +143,12 @@ def _time_columns(file: CsvFile | ParquetFile, asked: str) -> list[str]:
         raise UnknownNameError("column", asked, names, f" in {file.path.name}")
     if isinstance(file, ParquetFile) and file.timed:
         return [file.timed]
+    if len(named) == 1:
+        return named
+    count = "several columns that could be" if named else "no column of"
     raise RecordingError(
-        f"{file.path.name} has no column of times",
-        value=", ".join(names)[:60],
+        f"{file.path.name} has {count} times",
+        value=shorten(", ".join(named or names), REPR_LENGTH, placeholder=" ..."),
         remedy="name it time, time_s or time_ms, or give its name as time in the map",
     )
 

@@ -6,9 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import meshskin as ms
 from meshskin.core import se3
 from meshskin.core.errors import ConfigError
-from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.calibrate import Estimation, calibrate
+from meshskin.estimation.data.global_parameters import MOTION
+from meshskin.estimation.joint.contacts import LinearizedContacts
+from meshskin.estimation.learned.estimate import with_learned_response
+from meshskin.geometry.region import Cap
 from meshskin.scene.contact_motion import ContactMotion
 
 from .test_unknowns import record
@@ -84,6 +89,27 @@ def test_what_cannot_be_told_apart_is_named(world, turned):
     value = found.unknowns["probe x"][0] + 2 * found.unknowns["mast x"][0]
     assert value == pytest.approx(OFFSET[0], abs=2e-5)
     assert found.unknowns["mast x"][1] == pytest.approx(5e-3 / np.sqrt(5), rel=0.01)
+
+
+@pytest.mark.parametrize(("name", "changes"), [("joint_offset a", False), ("body_offset z", True)])
+def test_patches_of_a_learned_response_keep_their_sizes_where_joints_move_them(name, changes):
+    """About the long axis of an ellipsoid, along which its curvature varies: by how much sizes vary
+    with that is not known, and would tell the turn of all contacts."""
+    body = ms.Body.ellipsoid((0.045, 0.02, 0.06))
+    skin = ms.Skin.cover(body, spacing=6e-3, count=20, seed=2, region=Cap((1.0, 0.8, 0.2)))
+    scene = ms.Scene.load("sphere").with_(body=body, skin=skin)
+    log = ms.press(scene, skin.positions, seed=1)
+    slopes = np.cross([0.0, 0.0, 1.0], log.points)[:, :, None]
+    motion = ContactMotion((name,), np.array([0.1]), slopes)
+    data = Estimation(log, replace(scene.belief(), contact_motion=motion)).data
+    data = with_learned_response(data, skin.positions)
+    at, start = data.parameters.columns[MOTION], data.parameters.start()
+    contacts, there = LinearizedContacts(data, start), start.copy()
+    there[at] += 0.3  # of 0.1 rad
+    before, after = contacts.at(start), contacts.at(there)
+    assert np.linalg.norm(after.points - before.points, axis=1).min() > 3e-4
+    assert np.array_equal(before.patches.first, after.patches.first) != changes
+    assert bool(before.shape[0][:, at].any()) == bool(before.log_peak[:, at].any()) == changes
 
 
 def test_tables_of_another_shape_are_refused(world, turned):

@@ -1,11 +1,13 @@
 """Contacts of two kinds, in any order, one of them displaced."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import meshskin as ms
+from meshskin.estimation.learned import contact_kinds
 from meshskin.geometry.region import Cap
 
 
@@ -22,6 +24,33 @@ def scattered(seed):
     near = skin.positions[rng.integers(len(skin), size=500)]
     points = body.closest(near + rng.uniform(-5e-3, 5e-3, (500, 3))).point
     return scene, ms.press(scene, points, force=rng.uniform(2.5, 3.5, 500), seed=seed)
+
+
+def test_directions_that_no_reading_shows_have_no_kinds(monkeypatch):
+    """Each contact is known along one direction of its plane; in the other it has an error that
+    rounding gave it, and no information."""
+    rng, count = np.random.default_rng(0), 200
+    known = np.linalg.qr(rng.normal(size=(count, 2, 2)))[0]
+    whole = np.zeros((count, 3, 3))
+    whole[:, :2, :2] = known @ np.diag([1e9, -1e-3]) @ np.swapaxes(known, 1, 2) + 1e6 * np.eye(2)
+    whole[:, 2, 2] = 1.0
+    errors = rng.normal(scale=1e-4, size=(count, 2))
+    tangents = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0][:, :2, :]
+    monkeypatch.setattr(contact_kinds, "tangents", lambda effects: tangents)
+    shown = contact_kinds._Displacements(
+        SimpleNamespace(
+            probes=SimpleNamespace(touched=np.ones(count)),
+            system=lambda: SimpleNamespace(contacts=whole),
+            prior=(None, np.array([1e6, 1e6, 1.0])),
+            unknowns=SimpleNamespace(errors=errors),
+        )
+    )
+    along = np.einsum("mi,mi->m", shown.linear, known[:, :, 1])
+    np.testing.assert_allclose(along, 0, atol=1e-6)
+    across = np.einsum("mi,mi->m", errors, known[:, :, 0])
+    np.testing.assert_allclose(
+        np.einsum("mi,mi->m", shown.linear, known[:, :, 0]), (1e9 + 1e6) * across, rtol=1e-6
+    )
 
 
 def displaced(log, by):

@@ -382,6 +382,17 @@ def test_contacts_that_were_rejected_too_early_come_back(world, frames):
 
 
 @pytest.mark.deep
+def test_the_first_lane_is_no_misfit():
+    """Of a lane, taxels can be on either side: one on the wrong side does not fit."""
+    scene = ms.Scene.load("sphere_noisy")
+    log = ms.simulate(scene, seed=3)
+    online = ms.OnlineCalibration(scene.belief())
+    frames = RecordedFrames(log, online.belief.taxel_ids)
+    for begin in range(0, 200, 2):
+        assert online.update(*frames.part(begin, begin + 2)).verdict == "keep going"
+
+
+@pytest.mark.deep
 def test_late_readings_are_a_misfit(world):
     """By two frames; lanes go to and fro."""
     every = np.arange(len(world.points)).reshape(12, -1)[:, ::2]

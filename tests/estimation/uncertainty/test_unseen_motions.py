@@ -36,11 +36,15 @@ def test_a_slide_along_a_cylinder_is_named(moved):
     assert "a displacement along (0, 0, 1), a turn about (0, 0, 1) through" in words
 
 
-def test_a_ball_turns_about_its_middle():
+def test_a_ball_turns_about_its_middle(tmp_path):
     found, _ = calibrated(ms.Body.sphere(0.1), (0.0, 0.0, 1.0))
     (words,) = [words for words in found.undetermined if "surface does not show" in words]
     centre = re.search(r"show any turn about the point \((.*?)\) mm of all", words)
     assert np.abs(np.fromstring(centre[1], sep=",")).max() < 2.0  # mm, of a radius of 100 mm
+    assert found.verdict.untested[0] == words
+    assert f"  not tested: {words}\n" in str(found.verdict)
+    found.save(tmp_path / "calibration")
+    assert ms.Calibration.load(tmp_path / "calibration").verdict == found.verdict
 
 
 def test_an_ellipsoid_shows_every_motion():

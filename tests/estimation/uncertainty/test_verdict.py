@@ -274,10 +274,10 @@ def test_clocks_that_were_not_compared_are_named_where_strokes_have_one_directio
     assert all("clock of the skin was not compared" in words for words in found.verdict.reasons)
     sigma = np.where(np.arange(len(found.ids)) % 5 < 3, np.inf, found.position_sigma)
     few = SimpleNamespace(position_sigma=sigma)  # the others are not determined
-    named = verdict.clocks(made, gather(made, noisy.belief()), few)
+    named = list(verdict.clocks(made, gather(made, noisy.belief()), few))
     assert bool(named) == (level == "DOUBT")
     metadata = {key: made.metadata[key] for key in made.metadata if key != "clock"}
-    assert not verdict.clocks(Recording(made.contacts, made.readings, metadata), None, found)
+    assert not list(verdict.clocks(Recording(made.contacts, made.readings, metadata), None, found))
 
 
 @pytest.mark.slow
@@ -361,7 +361,7 @@ def test_a_profile_that_rises_beyond_its_band_is_a_doubt(bump, sigma, threshold,
     )
     data = SimpleNamespace(threshold=threshold)
     both = SimpleNamespace(each=(response,), unit=1.0)
-    found = verdict.profile(data, SimpleNamespace(response=both))
+    found = list(verdict.profile(data, SimpleNamespace(response=both)))
     assert [level for level, _ in found] == ["DOUBT"] * named
     assert all("to 4 mm" in words for _, words in found)
 

@@ -48,7 +48,7 @@ def test_means_over_few_lanes_are_no_doubt(lanes):
     wrong = found.poses.copy()
     wrong[:, :3, 3] += [0.0, 1.5e-3, 0.0]
     data = gather(recording, scene.belief())
-    assert weighted_means.findings(data, found) == []
+    assert list(weighted_means.findings(data, found)) == []
     ((level, words),) = weighted_means.findings(data, replace(found, poses=wrong))
     assert level == "FAIL"
     assert "from the pressure-weighted means" in words

@@ -179,8 +179,7 @@ def register_files(store: Any, files: Collection[Path], wanted: Collection[str])
             register(store, get_types_from_msg(text, name))
         except TypesysError as error:
             raise RecordingError(
-                f"{file} is not a message definition: {error}",
-                remedy="give a .msg file of ROS",
+                f"{file} is not a message definition: {error}", remedy="give a .msg file of ROS"
             ) from error
     if files:
         register(store, get_typestore(Stores.LATEST).fielddefs)
