@@ -161,8 +161,8 @@ def _tangential(
     """Tangential covariances (n, 2, 2), m^2, of single taxels, and what they rest on, in words;
     own (n, 2, 2): of independent errors."""
     parametrization = estimator.problem.parametrization
-    tangents = parametrization.rotations()[:, :, :2]
-    tangential = rivals.widened(own, tangents, parametrization.points())
+    apart = np.nan_to_num(rivals.points - parametrization.points())
+    tangential = own + chart.tangential_square(parametrization.rotations()[:, :, :2], apart)
     if fit.good is False:
         return tangential + model_dependence(estimator, fit), [SURFACE]
     added, words = found.covariances()

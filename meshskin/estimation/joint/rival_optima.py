@@ -79,26 +79,12 @@ class RivalOptima:
     points: Array
     """(n, 3), body frame, m."""
     log_odds: Array
-    """Log-likelihood (n,) of the estimate minus that of the rival, relative to the variance of the
-    residuals where that exceeds 1."""
+    """Log-likelihood (n,) of the estimate minus that of the rival."""
 
     @classmethod
     def none(cls, n: int) -> RivalOptima:
         """No rivals of n taxels."""
         return cls(np.full((n, 3), np.nan), np.full(n, np.inf))
-
-    def widened(self, covariances: Array, tangents: Array, points: Array) -> Array:
-        """Covariances (n, 2, 2), m^2, along the tangents (n, 3, 2) at `points` (n, 3), m, no
-        narrower than the likelihood: where that of a rival is smaller by a factor exp(-u^2 / 2),
-        the standard deviation is at least its distance over max(u, 1), as in likelihood_widths.py.
-        """
-        sigmas = np.sqrt(np.maximum(2 * self.log_odds, 1.0))
-        apart = np.nan_to_num(self.points - points) / sigmas[:, None]
-        along = np.einsum("nij,ni->nj", tangents, apart)
-        square = np.sum(along**2, axis=1)
-        inside = np.einsum("ni,nij,nj->n", along, covariances, along) / np.maximum(square, 1e-300)
-        part = np.clip(1 - inside / np.maximum(square, 1e-300), 0.0, 1.0)
-        return covariances + part[:, None, None] * along[:, :, None] * along[:, None, :]
 
 
 def resolve_rivals(estimator: JointEstimator) -> RivalOptima:
@@ -142,13 +128,13 @@ def find_rivals(estimator: JointEstimator, among: np.ndarray | None = None) -> R
         return best
     if estimator.data.noise is not None and variance > MAX_VARIANCE:
         return best
+    limit = MAX_LOG_ODDS * max(variance, 1.0)
     parts = batches(rows, DIRECTIONS + 1)
     estimator.stage.expect(len(parts))
     for part in parts:
         estimator.stage.step()
         places, odds = finish(likeliest_rivals(estimator, part, points[part]))
-        odds /= max(variance, 1.0)
-        near = odds < MAX_LOG_ODDS
+        near = odds < limit
         best.points[part[near]], best.log_odds[part[near]] = places[near], odds[near]
     return best
 

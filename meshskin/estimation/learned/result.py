@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from ...core.arrays import Array, spread_rows
+from ..chart import tangential_square
 from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION
 from ..joint import fault_detection, rejected_readings
 from ..joint.contact_fields import contact_fields
@@ -95,8 +96,8 @@ def learned_result(
         tangential += late.covariances
         placed = placed.relinearized(data.body, -late.displacements)
     points, rotations = placed.points(), placed.rotations()
-    second = second_fits(estimator)
-    tangential = rivals.widened(tangential, rotations[:, :, :2], points) + second.covariances
+    apart, second = np.nan_to_num(rivals.points - points), second_fits(estimator)
+    tangential += tangential_square(rotations[:, :, :2], apart) + second.covariances
     departures |= second.departure
     changed, reasons = gain_changes(effects.fitted()), reasons.copy()
     changed &= fit.good is not False  # the misfit of the response would pass for it

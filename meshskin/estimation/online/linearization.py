@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from .. import chart
-from ..chart import Charts
+from ..chart import Charts, tangential_square
 from ..data.measurements import Measurements
 from ..joint import fault_detection as faults
 from ..joint.contacts import LinearizedContacts
@@ -24,7 +24,7 @@ from ..joint.parametrization import SurfaceParametrization
 from ..joint.pressure import OBSERVED, costs
 from ..joint.readings import select
 from ..joint.reduced_nlp import MAX_ITERATIONS
-from ..joint.rival_optima import MAX_LOG_ODDS, RivalOptima, likeliest_rivals
+from ..joint.rival_optima import MAX_LOG_ODDS, likeliest_rivals
 from ..joint.variable_projection import SchurComplement
 from ..trilateration import trilaterate
 
@@ -261,7 +261,7 @@ def examine(
     places, odds = yield from likeliest_rivals(estimator, rows, charts.points, RIVAL_STEPS)
     yield
     wide = yield from widened_along_axis(estimator, rows, covariance, 1.0)
-    rivals = RivalOptima(np.where((odds < MAX_LOG_ODDS)[:, None], places, np.nan), odds)
-    wide = rivals.widened(wide, charts.tangents, charts.points)
+    rival = odds < MAX_LOG_ODDS
+    apart = np.where(rival[:, None], places - charts.points, 0.0)
     better = np.where((odds < 0)[:, None], places, np.nan)
-    return better, wide - covariance, odds >= MAX_LOG_ODDS
+    return better, wide - covariance + tangential_square(charts.tangents, apart), ~rival

@@ -247,18 +247,6 @@ def test_only_taxels_that_have_moved_are_searched_again(line, monkeypatch):
     np.testing.assert_array_equal(found.log_odds[others], whole.log_odds[others])
 
 
-def test_a_rival_counts_by_its_likelihood():
-    """Its whole distance counted, at odds of 1 to 3,000 as at even ones."""
-    tangents, places = np.tile(np.eye(3)[:, :2], (4, 1, 1)), np.zeros((4, 3))
-    points = np.tile([0.0, 1e-3, 0.0], (4, 1))
-    points[3] = np.nan
-    rivals = rival_optima.RivalOptima(points, np.array([0.2, 8.0, 8.0, np.inf]))
-    own = np.diag([0.3e-3, 0.1e-3]) ** 2 * np.array([1.0, 1.0, 9.0, 1.0])[:, None, None]
-    found = rivals.widened(own, tangents, places)
-    np.testing.assert_allclose(found[:, 0], own[:, 0])
-    np.testing.assert_allclose(np.sqrt(found[:, 1, 1]), [1e-3, 0.25e-3, 0.3e-3, 0.1e-3])
-
-
 def test_a_place_on_another_face_is_not_likelier(noisy, noisy_recording):
     """Silent readings of the contacts there counted against the taxel's own place, though its sheet
     is another: one 0.5 mm from an edge was to be 0.6 mm off by its standard deviation."""
