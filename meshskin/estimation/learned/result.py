@@ -23,6 +23,7 @@ from ..joint.leaks import LOST_SHARE, further_shares, leak_covariances, lost_sha
 from ..joint.noise import Noise, neighbour_scatter
 from ..joint.null_space import undetermined_motion
 from ..joint.optimum import model_dependence
+from ..joint.parametrization import SurfaceParametrization
 from ..joint.pressure import CENSORED, OBSERVED
 from ..joint.residual_correlations import larger, shared_errors
 from ..joint.rival_optima import RivalOptima
@@ -37,6 +38,7 @@ from ..result import (
     SHARED_ERRORS,
     SURFACE,
     EstimatorResult,
+    LearnedResponse,
     name_rivals,
 )
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit, remedy_of_learned
@@ -78,27 +80,11 @@ def learned_result(
         # where no contact that a taxel answered reaches it, only the model has put it
         reach = float(np.median(data.reach()))
         tangential += model_dependence(estimator, fit, reach)
-    placed = u.parametrization
-    for name, errors in small.items():
-        if not errors.covariances.any():
-            departures[name] = errors.score
-        else:
-            departures[f"{name}, held to first order"] = errors.score
-            tangential += errors.covariances
-            factors.append(f"{name}, to first order")
-            placed = placed.relinearized(data.body, -errors.displacements)
-    if fit.good is not False:
-        behind = _value(effects, "drag") or _value(effects, "friction")
-        late = held_lags(effects.fitted(), behind)
-        late = late.held() if small[LAGS].displacements.any() else late  # of the same cause
-        departures[HELD_LAGS] = late.score
-        factors += [HELD_LAGS] if late.score > NAMED else []
-        tangential += late.covariances
-        placed = placed.relinearized(data.body, -late.displacements)
+    placed, tangential, words, scores = _corrected(effects, fit, small, tangential)
     points, rotations = placed.points(), placed.rotations()
     apart, second = np.nan_to_num(rivals.points - points), second_fits(estimator)
     tangential += tangential_square(rotations[:, :, :2], apart) + second.covariances
-    departures |= second.departure
+    departures |= scores | second.departure
     changed, reasons = gain_changes(effects.fitted()), reasons.copy()
     changed &= fit.good is not False  # the misfit of the response would pass for it
     reasons[live], reasons[live[estimator.broken]] = "", MOSTLY_OUTLIERS
@@ -117,15 +103,7 @@ def learned_result(
         covariance=spread(np.where(lost[:, None, None], infinite, tangential), infinite),
         chi2=spread(_chi2(effects), np.nan),
         reasons=reasons,
-        factors=(
-            LEARNED_RESPONSE,
-            *((FALLING,) if data.falling else ()),
-            *response.describe(),
-            *((CENSORING,) if (effects.selected[0].kind == CENSORED).any() else ()),
-            SURFACE,
-            *factors,
-            *data.excluded,
-        ),
+        factors=_factors(effects, response, factors + words),
         unknowns=_shared_values(effects, scale * shared),
         undetermined=_not_separable(effects, shared),
         taxel_unknowns=data.parameters.of_taxels(
@@ -140,6 +118,49 @@ def learned_result(
         additions=_additions(effects, live),
         iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
         seconds={"joint": time.perf_counter() - clock},
+    )
+
+
+def _corrected(
+    effects: RandomEffects, fit: GoodnessOfFit, small: dict[str, SmallEffects], tangential: Array
+) -> tuple[SurfaceParametrization, Array, list[str], dict[str, float]]:
+    """The taxels' places without what small effects and lags displace them by, to first order;
+    their tangential covariances (n, 2, 2), m^2, with these; the effects in words; and their scores.
+
+    tangential (n, 2, 2): covariances, m^2, without these effects.
+    """
+    placed, factors, departures = effects.unknowns.parametrization, [], dict[str, float]()
+    for name, errors in small.items():
+        if not errors.covariances.any():
+            departures[name] = errors.score
+        else:
+            departures[f"{name}, held to first order"] = errors.score
+            tangential = tangential + errors.covariances
+            factors.append(f"{name}, to first order")
+            placed = placed.relinearized(effects.data.body, -errors.displacements)
+    if fit.good is not False:
+        behind = _value(effects, "drag") or _value(effects, "friction")
+        late = held_lags(effects.fitted(), behind)
+        late = late.held() if small[LAGS].displacements.any() else late  # of the same cause
+        departures[HELD_LAGS] = late.score
+        factors += [HELD_LAGS] if late.score > NAMED else []
+        tangential = tangential + late.covariances
+        placed = placed.relinearized(effects.data.body, -late.displacements)
+    return placed, tangential, factors, departures
+
+
+def _factors(
+    effects: RandomEffects, response: LearnedResponse, factors: list[str]
+) -> tuple[str, ...]:
+    """What the result rests on, in words; factors: of its covariances."""
+    return (
+        LEARNED_RESPONSE,
+        *((FALLING,) if effects.data.falling else ()),
+        *response.describe(),
+        *((CENSORING,) if (effects.selected[0].kind == CENSORED).any() else ()),
+        SURFACE,
+        *factors,
+        *effects.data.excluded,
     )
 
 
