@@ -133,12 +133,12 @@ class Surface:
             return np.zeros(len(at.face), dtype=bool)
         return self._inside_outside.buried(at.face, at.uv)
 
-    @property
+    @cached_property
     def closed(self) -> bool:
         """Whether the mesh has no border."""
         return bool((self.neighbours >= 0).all())
 
-    @property
+    @cached_property
     def bounds(self) -> Array:
         """Least and largest coordinates (2, 3), m, of the vertices."""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])

@@ -421,3 +421,12 @@ def test_facets_without_area_have_no_normal():
     point, normal = facets.closest(np.array([[0.2, 0.2, 0.1], [1.8, 0.0, 0.1]]))
     np.testing.assert_allclose(point, [[0.2, 0.2, 0.0], [1.8, 0.0, 0.0]], atol=1e-12)
     np.testing.assert_array_equal(normal, [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+
+
+def test_the_extents_are_computed_once():
+    """The closed loop asks for them at every block of steps."""
+    surface = Body.ellipsoid((0.11, 0.1, 0.09)).surface
+    assert surface.bounds is surface.bounds
+    assert surface.bounds == pytest.approx(
+        np.array([[-0.11, -0.1, -0.09], [0.11, 0.1, 0.09]]), rel=1e-3
+    )
