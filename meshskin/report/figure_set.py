@@ -48,7 +48,7 @@ def draw_figures(
     names = [name for name in _names(data) if name not in drawn]
     later = [name for name in names if beside and name in BESIDE]
     if later:
-        theme.load_matplotlib()  # once, not in both processes
+        import matplotlib.figure  # noqa: F401  once, not in both processes
     with Beside(lambda: draw_named(folder, data, later), bool(later)) as other, suppress(OutOfTime):
         stage = Stage(progress, "report", len(names))
         for name in names:

@@ -18,7 +18,6 @@ from .data import ReportData
 from .figure_set import EARLY, Drawn, draw_figures, draw_named
 from .markup import Content
 from .sections import content
-from .theme import load_matplotlib
 
 if TYPE_CHECKING:
     from ..estimation.cross_validation import CrossValidation
@@ -91,7 +90,7 @@ def report(
 def draw_early(folder: Path, data: ReportData, forked: bool) -> Beside[Drawn]:
     """The figures of EARLY, drawn into the folder of the page in a forked process, or on demand."""
     if forked:
-        load_matplotlib()  # once, not in both processes
+        import matplotlib.figure  # noqa: F401  once, not in both processes
     return Beside(lambda: draw_named(folder / FIGURES, data, EARLY), forked)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
@@ -61,20 +60,6 @@ TICKS = 5
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
-
-def load_matplotlib() -> None:
-    """Import matplotlib. Its artists' docstrings list their properties, which takes half of the
-    import, only where somebody may read them: at a prompt or in a notebook."""
-    from matplotlib import artist
-
-    listed = artist.kwdoc
-    if not (hasattr(sys, "ps1") or "IPython" in sys.modules):
-        artist.kwdoc = lambda artist: ""
-    try:
-        import matplotlib.figure  # noqa: F401
-    finally:
-        artist.kwdoc = listed
 
 
 def styled(function: Callable[P, R]) -> Callable[P, R]:

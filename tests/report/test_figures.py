@@ -33,17 +33,6 @@ def texts(figure: object) -> str:
 
 
 @pytest.mark.deep
-@pytest.mark.parametrize(("prompt", "listed"), [("", False), ("import sys; sys.ps1 = '>'", True)])
-def test_only_a_prompt_lists_the_properties_of_artists(prompt: str, listed: bool) -> None:
-    code = (
-        f"{prompt}\nfrom meshskin.report.theme import load_matplotlib\nload_matplotlib()\n"
-        "from matplotlib import artist, lines\nassert 'zorder' in artist.kwdoc(lines.Line2D)\n"
-        f"assert ('zorder' in lines.Line2D.set.__doc__) is {listed}"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-@pytest.mark.deep
 def test_importing_the_report_imports_no_plotting_library() -> None:
     code = (
         "import sys, meshskin.report, meshskin.report.page, meshskin.report.figure_set\n"
