@@ -1,7 +1,8 @@
 """meshskin: self-calibration of robot skin on any body mesh.
 
 Simulate how a robot presses its skin-covered body on an indenter, estimate the pose of every taxel
-from the recording, and state the uncertainty. Public names are imported when they are first used.
+from the recording, and state the uncertainty. Public names are imported when they are first used;
+they stand in `__init__.pyi`, which type checkers read, too (SPEC 1 of Scientific Python).
 """
 
 from __future__ import annotations
