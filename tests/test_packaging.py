@@ -12,7 +12,7 @@ import pytest
 import meshskin
 
 ROOT = Path(__file__).parents[1]
-DATA = {".c", ".h", ".csv", ".html", ".css", ".js", ".typed"}
+DATA = {".c", ".h", ".csv", ".html", ".css", ".js", ".pyi", ".typed"}
 """Suffixes of the package's files that are no Python modules."""
 
 
