@@ -7,35 +7,19 @@ they stand in `__init__.pyi`, which type checkers read, too (SPEC 1 of Scientifi
 
 from __future__ import annotations
 
-import re
-from importlib import import_module
-from operator import itemgetter
-from pathlib import Path
 from typing import Any
+
+import lazy_loader
 
 __version__ = "0.2.0"
 
-_STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-_HOMES = {
-    name: home or name
-    for home, name in sorted(re.findall(r"from \.([\w.]*) import (\w+)", _STUB), key=itemgetter(1))
-}
-"""The module that defines each public name, in the order of the names."""
-
-__all__ = list(_HOMES)
+_load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f"module 'meshskin' has no attribute {name!r}")
-    home = import_module(f".{_HOMES[name]}", __name__)
-    if name == _HOMES[name]:
-        return home
     from .core.field_docs import document_fields
 
-    found = getattr(home, name)
+    found = _load(name)
     return document_fields(found) if isinstance(found, type) else found
-
-
-def __dir__() -> list[str]:
-    return __all__

@@ -56,4 +56,3 @@ from .tuning.tune import tune as tune
 
 __version__: str
 __all__: list[str]
-_HOMES: dict[str, str]

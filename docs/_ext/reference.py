@@ -62,8 +62,10 @@ def python_pages() -> dict[str, str]:
     wings: dict[str, list[str]] = {}
     for file in sorted(PACKAGE.glob("*/__init__.py"), key=_wing_rank):
         wings[file.parent.name] = []
-    for name, home in ms._HOMES.items():
-        wings[home.partition(".")[0]].append(name)
+    for name in ms.__all__:
+        found = getattr(ms, name)
+        home = found.__name__ if inspect.ismodule(found) else found.__module__
+        wings[home.split(".")[1]].append(name)
     pages = {f"python/{name}": _python_page(name) for name in ms.__all__}
     lines = ["# Python", "", "`import meshskin as ms`; names are imported when first used.", ""]
     for wing, names in wings.items():
