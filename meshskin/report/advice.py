@@ -58,7 +58,7 @@ def observability(data: ReportData) -> list[str]:
     """The degrees of freedom that were determined, factors, anchor, and taxels not located."""
     c = data.calibration
     observed = np.asarray(c.observed, dtype=bool)
-    touched = int(data.touched.sum())
+    touched, first = int(data.touched.sum()), untested(data)  # listed first on the page
     counts = observed[data.touched].sum(axis=0) if touched else np.zeros(6, dtype=int)
     rows = tuple(
         (name, f"{int(n)} of {touched}", _observability_note(k, int(n), touched))
@@ -67,7 +67,7 @@ def observability(data: ReportData) -> list[str]:
     lines = [
         f"Factors used: {'; '.join(c.factors) or 'none'}.",
         f"Anchor, which fixes the pose of the whole skin: {c.anchor or 'none'}.",
-        *(f"Not shown by the log: {words}." for words in c.undetermined),
+        *(f"Not shown by the log: {words}." for words in c.undetermined if words not in first),
     ]
     if has_gauge_freedom(c) and data.truth is not None:
         lines.append(
@@ -77,6 +77,12 @@ def observability(data: ReportData) -> list[str]:
     lines += missing_taxels(data)
     header = ("degree of freedom", "touched taxels", "")
     return [table(header, rows, numeric=(1,)), paragraphs(*lines)]
+
+
+def untested(data: ReportData) -> tuple[str, ...]:
+    """Errors that the recording cannot show; a simulation has none of them."""
+    verdict = data.calibration.verdict
+    return () if verdict is None or data.truth is not None else verdict.untested
 
 
 def missing_taxels(data: ReportData) -> list[str]:

@@ -79,7 +79,7 @@ def content(data: ReportData, pictures: Sequence[SavedFigure]) -> Content:
     verdict, steps = data.calibration.verdict, advice.next_steps(data)
     reasons = {}
     if verdict is not None:
-        lists = {f"{verdict.level}:": verdict.reasons, "Not tested:": _untested(data)}
+        lists = {f"{verdict.level}:": verdict.reasons, "Not tested:": advice.untested(data)}
         reasons["Verdict"] = [bullets(first, points) for first, points in lists.items() if points]
     sections = {
         **reasons,
@@ -266,15 +266,9 @@ def summary_sentence(data: ReportData) -> str:
     if verdict is None:
         return left + _result(data)
     words = VERDICTS[verdict.level]
-    if verdict.level == PASS and _untested(data):
+    if verdict.level == PASS and advice.untested(data):
         words = "PASS, but for what this log cannot show (see below). "
     return words + left + _result(data)
-
-
-def _untested(data: ReportData) -> tuple[str, ...]:
-    """Errors that the recording cannot show; a simulation has none of them."""
-    verdict = data.calibration.verdict
-    return () if verdict is None or data.truth is not None else verdict.untested
 
 
 def _result(data: ReportData) -> str:

@@ -233,10 +233,16 @@ def test_without_truth_the_stated_uncertainty_is_given(
         metrics=None,
         comparisons={},
         recording=case.recording(False),
-        calibration=replace(case.calibration(), verdict=Verdict("PASS", (), ("the mesh",))),
+        calibration=replace(
+            case.calibration(),
+            verdict=Verdict("PASS", (), ("the mesh",)),
+            undetermined=("the mesh", "the scale"),
+        ),
     )
     assert "PASS, but for what this log cannot show (see below)." in shown.text
     assert "Not tested: the mesh" in shown.text
+    assert "Not shown by the log: the scale." in shown.text
+    assert "Not shown by the log: the mesh" not in shown.text, "it stands first"
     assert "stated uncertainty is 0.0141 mm (median standard deviation)" in shown.text
     assert "There is no truth to compare with" in shown.text
     assert "position error" not in shown.text.lower()
