@@ -267,7 +267,7 @@ def summary_sentence(data: ReportData) -> str:
         return left + _result(data)
     words = VERDICTS[verdict.level]
     if verdict.level == PASS and advice.untested(data):
-        words = "PASS, but for what this log cannot show (see below). "
+        words = "PASS, except for errors that this log cannot show (listed below). "
     return words + left + _result(data)
 
 

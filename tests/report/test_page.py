@@ -239,7 +239,7 @@ def test_without_truth_the_stated_uncertainty_is_given(
             undetermined=("the mesh", "the scale"),
         ),
     )
-    assert "PASS, but for what this log cannot show (see below)." in shown.text
+    assert "PASS, except for errors that this log cannot show (listed below)." in shown.text
     assert "Not tested: the mesh" in shown.text
     assert "Not shown by the log: the scale." in shown.text
     assert "Not shown by the log: the mesh" not in shown.text, "it stands first"
