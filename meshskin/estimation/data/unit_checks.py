@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ...contact.reading import same_sheet
+from ...core import arrow
 from ...core.arrays import Array
 from ...core.errors import CalibrationError, RecordingError
 from ...geometry.body import Body
@@ -45,6 +46,10 @@ FORCE_UNITS = {"kN": 1e-3, "mN": 1e3, "uN": 1e6}
 """Number that a force of 1 N has in each unit."""
 MATCH = 20.0
 """A unit is named as the cause if it explains the ratio within this factor."""
+SET_BACK, MAX_SET_BACK = 10.0, 0.1
+"""Frames by which a reading lies behind the one before of its taxel in the table, more than those
+that arrive late, from which the clock was set back; and the part of the readings up to which: more
+are rows in no order of time, whose times may be right."""
 REMEDY = "check the units of pressure, force and modulus"
 RAW_REMEDY = ', or give readings="raw" (--raw) if they are counts or volts'
 """What else helps where readings are not pressures."""
@@ -185,6 +190,23 @@ def check_finite(recording: Recording) -> None:
                 value=f"{values[bad[0]]} in row {bad[0]} of {table}, {len(bad)} in all",
                 remedy="drop those rows or repair the log",
             )
+
+
+def check_clock(recording: Recording, index: np.ndarray) -> None:
+    """Refuse readings of taxels (k,) whose clock was set back in the course of the recording: the
+    later ones would belong to earlier contacts."""
+    time = arrow.values(recording.readings.column("time"))
+    order = np.argsort(index, kind="stable")
+    back = np.diff(time[order]) < -SET_BACK * recording.frame
+    back &= np.diff(index[order]) == 0
+    if not 0 < back.sum() <= MAX_SET_BACK * len(time):
+        return
+    row = int(order[1:][back].min())
+    raise RecordingError(
+        "the clock of the readings was set back",
+        value=f"{time[:row].max():g} s, then {time[row]:g} s in row {row} of readings",
+        remedy="add the time that is missing to those from there on, or cut the log there",
+    )
 
 
 def check_unique(recording: Recording, index: np.ndarray, taxels: int) -> None:

@@ -41,6 +41,9 @@ ONE_WAY = 0.5
 """Mean displacement of a taxel's contacts from frame to frame, relative to the mean of its size,
 from which the passes over it have one direction: equal passes both ways have 0, 14 in directions by
 chance 0.24 +- 0.12."""
+MIN_ANSWERED = 0.9
+"""Part of the contacts up to which readings are, below which a clock was set back where readings are
+missing, too: the later ones then belong to earlier contacts."""
 MIN_CONTACTS = 10
 """Contacts, at least, to judge their columns."""
 LAW = 1 / 3
@@ -267,11 +270,17 @@ def pressures(recording: Recording, data: Measurements) -> Iterator[Finding]:
         )
         yield FAIL, words
     if data.lost:
-        yield doubt(
+        answered = (data.contact.max() + 1) / len(data.points)
+        level, cause = DOUBT, ""
+        if answered < MIN_ANSWERED:
+            level, cause = FAIL, f", and, as none belongs to the contacts after {answered:.0%} of "
+            cause += "the log, for a clock of the readings that was set back"
+        words = (
             f"{data.lost:.0%} of the readings are missing where taxels read strongly all around "
             f"(limit {MAX_LOST:.0%}): no silence was taken for a reading below the threshold; look "
-            "for readings that were lost on the way, and for contact points that are far off"
+            f"for readings that were lost on the way, and for contact points that are far off{cause}"
         )
+        yield level, words
     beside, unanswered = unanswered_contacts(data)
     if unanswered.sum() > MAX_UNANSWERED * beside.sum():
         yield doubt(
