@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import Array, Index, ranges
+from ...core.arrays import Array, Index, ranges, rows_by_key
 from .topology import corners_by_vertex, face_components
 from .winding_number import WindingNumber
 
@@ -38,6 +38,13 @@ were turned outward, so that most fronts are outside. It was 0.97 and 0.63 on li
 panels of which 0.49 and 0.97 are visible; at most 0.38 on 40 other links"""
 SAMPLED = 4000
 """number of faces about which that part is measured: to 0.01"""
+MEMBERS, CLEAR = 400, 0.9
+"""number of faces of a component about which its level is sought, and the part of their area from
+which they tell it"""
+
+
+UNKNOWN = np.iinfo(np.int64).min
+"""no winding number"""
 
 
 class InsideOutside:
@@ -60,7 +67,7 @@ class InsideOutside:
         self.closed = bool(np.all(count % 2 == 0))
         """whether no edge is a border"""
         self._vertices = vertices
-        self._fronts: dict[WindingNumber, NDArray[np.int64]] = {}
+        self._fronts: dict[WindingNumber, NDArray[np.int64]] = {}  # UNKNOWN: not yet computed
 
     def ambiguous(self, face: Index, weight: Array, offset: Array) -> Index:
         """The rows (k,) of nearest points at which the mesh is folded back on itself.
@@ -102,7 +109,7 @@ class InsideOutside:
         if closed.closed or not face_components(self.across).any():
             return closed
         some = np.arange(0, len(self.faces), -(-len(self.faces) // SAMPLED))
-        inside = closed.at(self._fronts_of(some, closed)) > 0
+        inside = self._in_front(closed, some) > 0
         if float(self._areas[some] @ inside) <= MOST * float(self._areas[some].sum()):
             return closed
         return self._bare
@@ -123,16 +130,13 @@ class InsideOutside:
         """Offsets (m, 3), m, along the normals of the faces to points close to them."""
         return STANDOFF * float(np.max(np.ptp(self._vertices, axis=0))) * self.normals
 
-    def _in_front(self, winding: WindingNumber) -> NDArray[np.int64]:
-        """Winding numbers (m,) in front of the middles of the faces, computed once."""
-        if winding not in self._fronts:
-            every = np.arange(len(self.faces))
-            self._fronts[winding] = winding.at(self._fronts_of(every, winding))
-        return self._fronts[winding]
-
-    def _fronts_of(self, rows: Index, winding: WindingNumber) -> Array:
-        """Points (k, 3), m, in front of the middles of faces."""
-        return np.asarray(self.corners[rows].mean(axis=1) + winding.outward * self._standoff[rows])
+    def _in_front(self, winding: WindingNumber, rows: Index) -> NDArray[np.int64]:
+        """Winding numbers (k,) in front of the middles of faces (k,), each computed once."""
+        known = self._fronts.setdefault(winding, np.full(len(self.faces), UNKNOWN))
+        new = rows[known[rows] == UNKNOWN]
+        points = self.corners[new].mean(axis=1) + winding.outward * self._standoff[new]
+        known[new] = winding.at(points)
+        return known[rows]
 
     def side(self, points: Array) -> Array:
         """+1 or -1 (n,): points (n, 3), m, outside or inside by their winding numbers."""
@@ -172,7 +176,7 @@ class InsideOutside:
             rows = np.flatnonzero(self.mixed[face])
             found[rows] = self._winding.outward * self._in_front_at(face[rows], uv[rows]) > 0
         elif found.any():
-            found[found] = self._in_front(self._bare)[face[found]] > 0
+            found[found] = self._in_front(self._bare, face[found]) > 0
         return np.asarray(found)
 
     @cached_property
@@ -187,19 +191,26 @@ class InsideOutside:
         In a mesh with borders it is that of most of the area connected with a face through faces
         that are not crossed: the closure of a border may intersect the mesh.
         """
-        found = self._in_front(self._winding)
         if self._winding.closed:
-            return found
-        found = found.copy()
+            return self._in_front(self._winding, np.arange(len(self.faces)))
         cut = np.zeros(len(self.faces), dtype=bool)
         cut[self.crossed] = True
+        found = np.empty(len(self.faces), dtype=np.int64)
+        found[cut] = self._in_front(self._winding, np.flatnonzero(cut))
         across = np.where(cut[:, None] | cut[self.across], -1, self.across)
-        component = face_components(across)
-        for k in np.unique(component[~cut]):
-            rows = np.flatnonzero(component == k)
-            levels, place = np.unique(found[rows], return_inverse=True)
-            found[rows] = levels[np.argmax(np.bincount(place.ravel(), self._areas[rows]))]
+        for rows in rows_by_key(np.where(cut, -1, face_components(across))):
+            if not cut[rows[0]]:
+                found[rows] = self._common(rows)
         return found
+
+    def _common(self, rows: Index) -> np.int64:
+        """The winding number in front of most of the area of the faces `rows` (k,)."""
+        for some in (rows[:: -(-len(rows) // MEMBERS)], rows):
+            levels, place = np.unique(self._in_front(self._winding, some), return_inverse=True)
+            shares = np.bincount(place.ravel(), self._areas[some])
+            if shares.max() >= CLEAR * shares.sum():
+                break
+        return np.int64(levels[np.argmax(shares)])
 
     @cached_property
     def mixed(self) -> NDArray[np.bool_]:

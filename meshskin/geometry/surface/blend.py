@@ -102,24 +102,27 @@ def regularize(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Jets
     creases = crease_curves(jets, fans, beyond, slot, straight)
     doubtful = np.any(jets.residual[fans.corner] >= TRUSTED_RESIDUAL, axis=1)
     doubtful[creases.face] = True
-    suspect = np.flatnonzero(doubtful)
+    folded, stale = np.zeros(len(fans.corner), dtype=bool), doubtful
     for trial in range(MAX_ROUNDS):
-        folded = [
-            rows[is_folded(jets, fans.corner[rows], creases.of(rows))]
-            for rows in np.split(suspect, range(CHUNK, len(suspect), CHUNK))
-        ]
-        bad = np.concatenate(folded)
+        again = np.flatnonzero(stale)
+        for rows in np.split(again, range(CHUNK, len(again), CHUNK)):
+            folded[rows] = is_folded(jets, fans.corner[rows], creases.of(rows))
+        bad = np.flatnonzero(folded)
         if not len(bad):
             break
         here = np.zeros_like(straight)
         here[bad] = fans.sharp[bad]
         face, k = np.nonzero(here & ~straight)
+        changed = np.zeros(len(folded), dtype=bool)  # the faces that need another patch
+        changed[face] = changed[beyond[face, k]] = True
         straight[face, k] = straight[beyond[face, k], slot[face, k]] = True
         if trial or not len(face):
             degree = jets.degree.copy()
             degree[fans.corner[bad]] = 0
+            changed |= (degree != jets.degree)[fans.corner].any(axis=1)
             jets = replace(jets, degree=degree)
-        creases = crease_curves(jets, fans, beyond, slot, straight)
+        creases = crease_curves(jets, fans, beyond, slot, straight, (creases, changed))
+        stale = doubtful & (changed | (fans.sharp & changed[beyond]).any(axis=1))
     return jets, creases
 
 

@@ -10,6 +10,7 @@ from meshskin.core import codegen
 from meshskin.geometry.body import Body
 from meshskin.geometry.mesh import winding_number as wn
 from meshskin.geometry.mesh.inside_outside import InsideOutside
+from meshskin.geometry.mesh.self_intersection import edge_face_intersections
 from meshskin.geometry.mesh.topology import neighbours
 from meshskin.geometry.mesh.winding_number import WindingNumber
 from meshskin.geometry.mesh.winding_number import winding_number as turns
@@ -263,6 +264,23 @@ def test_parts_that_run_into_each_other_have_one_inside(tmp_path, hole, turned):
     warm = body.surface.closest(points[near], body.closest(points[near]).face)
     np.testing.assert_array_equal(warm.distance < 0.0, inside[near])
     assert wrong(replace(body, crossed=None), points, inside) > 50
+
+
+def test_few_faces_tell_the_level_of_a_large_part(monkeypatch):
+    """Two overlapping balls, one with a hole: as by the fronts of all faces, from 44 % of them."""
+    mesh = crossed_balls()
+    mesh.update_faces(mesh.triangles_center[:, 0] > -0.09)
+    across, crossed = neighbours(mesh.faces)[0], edge_face_intersections(mesh.vertices, mesh.faces)
+    inside = InsideOutside(
+        mesh.vertices, mesh.faces, mesh.face_normals, np.unique(crossed[:2]), across
+    )
+    asked, at = [], WindingNumber.at
+    monkeypatch.setattr(WindingNumber, "at", lambda w, p: asked.append(len(p)) or at(w, p))
+    level = inside.level
+    assert sum(asked) < 0.45 * len(mesh.faces)
+    fronts = inside._in_front(inside._winding, np.arange(len(mesh.faces)))
+    assert np.mean(level == fronts) > 0.99
+    assert (level > 0).sum() > 500
 
 
 def rolled(height, count=300):

@@ -1,11 +1,14 @@
 """Patches next to their flat faces: bounds of their heights, on smooth and on rough meshes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from meshskin.geometry.body import Body
 from meshskin.geometry.surface import blend, patch
+from meshskin.geometry.surface.creases import crease_curves
 from meshskin.geometry.surface.surface import Surface
 
 
@@ -54,3 +57,27 @@ def test_no_patch_is_higher_than_the_tangent_planes_at_its_corners(subdivisions,
 def test_patches_stay_within_twice_the_roughness_of_their_faces(subdivisions, amplitude):
     """Where no polynomial fits the vertices, the faces stay flat."""
     assert rough(subdivisions, amplitude).offsets.max() < 2 * amplitude * 0.1
+
+
+def test_creases_of_faces_that_did_not_change_are_kept():
+    """Other jets at some fans and chords at some edges: the curves are those found anew, and those
+    of all other edges are not computed again."""
+    surface = rough(3, 0.3)
+    fans, across = surface.fans, (surface.neighbours, surface.slot)
+    chords = np.zeros(fans.corner.shape, dtype=bool)
+    jets = surface.jets
+    before = crease_curves(jets, fans, *across, chords)
+    rng, degree = np.random.default_rng(1), jets.degree.copy()
+    degree[rng.integers(len(degree), size=20)] = 0
+    later = replace(jets, degree=degree)
+    changed = (degree != jets.degree)[fans.corner].any(axis=1)
+    chorded = rng.permutation(np.argwhere(fans.sharp))[:20]
+    for face, k in chorded:
+        there, slot = across[0][face, k], across[1][face, k]
+        chords[face, k] = chords[there, slot] = changed[face] = changed[there] = True
+    fresh = crease_curves(later, fans, *across, chords)
+    kept = crease_curves(later, fans, *across, chords, (before, changed))
+    np.testing.assert_allclose(kept.curve, fresh.curve, rtol=0, atol=1e-15)
+    assert np.abs(fresh.curve - before.curve).max() > 1e-5
+    marked = replace(before, curve=before.curve + 1.0)
+    assert (crease_curves(later, fans, *across, chords, (marked, changed)).curve > 0.5).any()
