@@ -39,6 +39,9 @@ from .estimation.uncertainty import metrics as truth
 from .exploration.left_out import coverage
 from .exploration.plan import plan_exploration
 from .recording.recording import Recording
+from .report.data import ReportData
+from .report.figure_set import EARLY, Drawing, begin_figures, drawing_beside
+from .report.page import FIGURES, draw
 from .scene.file import read_tables
 from .scene.scene import Scene
 from .simulation.response import ForceResponse, controlled_force, describe_departure, force_response
@@ -46,11 +49,12 @@ from .simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from .core.beside import Beside
-    from .report.figure_set import Drawn
     from .study.sensitivity.budget import BudgetReport
     from .study.sensitivity.choice import Choice
     from .study.sensitivity.first_run import FirstRun
     from .study.sensitivity.request import Request
+
+    Watch = Callable[[Scene, Recording, Calibration], None]
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,7 @@ def run(
     progress: Progress | None = None,
     request: Request | None = None,
     budget: float | None = None,
-    watch: Callable[[Scene, Recording, Calibration], None] | None = None,
+    watch: Watch | None = None,
     began: tuple[float, float] | None = None,
 ) -> Result:
     """Simulate, calibrate and report a scene; write all files into `folder`.
@@ -93,27 +97,37 @@ def run(
     seconds = math.inf if request is None or request.seconds is None else request.seconds
     deadline = Deadline(seconds) if began is None else Deadline(seconds, began)
     timer = StageTimer({} if began is None else {"start": deadline.spent[0]})
-    job = _Job(name, Path(folder), seed, deadline, progress, timer)
+    with drawing_beside(forked=math.isinf(seconds)) as beside:
+        job = _Job(name, Path(folder), seed, deadline, progress, timer, beside)
+        return _run(job, request, budget, watch)
+
+
+def _run(job: _Job, request: Request | None, budget: float | None, watch: Watch | None) -> Result:
+    """All stages of a run; arguments as `run`."""
     plan = _planned(job, _loaded(job, budget), request)
     done, choice = _calibrated(job, plan)
     done.calibration.save(job.folder / "calibration")
     if watch is not None:
-        watched = Stage(progress, "live")
+        watched = Stage(job.progress, "live")
         watch(done.scene, done.estimation.recording, done.calibration)
         watched.end()
-    with _early_figures(job, done) as early:
-        comparison, demonstration = _compared(job, done, choice)
-        with job.timer.stage("metrics"):
-            force = _force(done.estimation.recording, done.scene)
-            metrics = _assess(done, force, demonstration) | comparison.errors(done.scene.skin)
-            metrics |= _account(job, metrics, plan.budget, comparison, choice)
-        result = Result(
-            done.scene, done.estimation.recording, done.calibration, comparison.found,
-            demonstration, force, metrics, plan.budget,
-        )  # fmt: skip
-        _report(job, result, early)
+    demonstration, early = _early_figures(job, done)
+    with job.timer.stage("compare"):
+        expected = (lambda _: 0.0) if choice is None else choice.seconds
+        comparison = compare_methods(
+            done.estimation, job.progress, job.deadline, REPORT_SECONDS, expected
+        )
+    with job.timer.stage("metrics"):
+        force = _force(done.estimation.recording, done.scene)
+        metrics = _assess(done, force, demonstration) | comparison.errors(done.scene.skin)
+        metrics |= _account(job, metrics, plan.budget, comparison, choice)
+    result = Result(
+        done.scene, done.estimation.recording, done.calibration, comparison.found,
+        demonstration, force, metrics, plan.budget,
+    )  # fmt: skip
+    _report(job, result, early)
     if choice is not None:
-        choice.record["came_to"] = _came_to(deadline, metrics)
+        choice.record["came_to"] = _came_to(job.deadline, metrics)
     metrics["seconds"] = {k: round(v, 4) for k, v in job.timer.seconds.items()}
     write_json(job.folder / "metrics.json", metrics)
     return result
@@ -131,6 +145,8 @@ class _Job:
     deadline: Deadline
     progress: Progress | None
     timer: StageTimer
+    beside: Beside
+    """Processes that draw."""
 
 
 @dataclass(frozen=True)
@@ -233,23 +249,6 @@ def _simulated(job: _Job, plan: _Planned) -> _Calibrated:
     return _Calibrated(scene, estimation, calibration)
 
 
-def _compared(
-    job: _Job, done: _Calibrated | FirstRun, choice: Choice | None
-) -> tuple[Comparison, Demonstration | None]:
-    """The recording calibrated by the other methods, and the demonstration of the pose graph; None
-    where taxels share too few contacts, or the time is used up."""
-    with job.timer.stage("compare"):
-        expected = (lambda _: 0.0) if choice is None else choice.seconds
-        comparison = compare_methods(
-            done.estimation, job.progress, job.deadline, REPORT_SECONDS, expected
-        )
-        with suppress(CalibrationError, GraphError, OutOfTime):
-            job.deadline.check(REPORT_SECONDS)
-            skin, recording = done.scene.skin, done.estimation.recording
-            return comparison, demonstrate(skin.poses, skin.ids, recording, job.seed)
-    return comparison, None
-
-
 def _force(recording: Recording, scene: Scene) -> ForceResponse:
     """The response of the contact force in a simulated recording."""
     motion = recording.motion
@@ -303,23 +302,25 @@ def _account(
     return more | {"inputs": {"scene": scene, "seed": job.seed}}
 
 
-def _early_figures(job: _Job, done: _Calibrated | FirstRun) -> Beside[Drawn]:
-    """The figures that need no comparison, drawn beside it; none where the time is limited."""
-    from .report.data import ReportData
-    from .report.page import draw_early
-
+def _early_figures(
+    job: _Job, done: _Calibrated | FirstRun
+) -> tuple[Demonstration | None, dict[str, Drawing]]:
+    """The demonstration of the pose graph, None where taxels share too few contacts or the time is
+    used up, and the figures that need no comparison, begun before it."""
     scene, recording = done.scene, done.estimation.recording
+    shown, names = None, EARLY
+    with job.timer.stage("compare"), suppress(CalibrationError, GraphError, OutOfTime):
+        job.deadline.check(REPORT_SECONDS)
+        shown = demonstrate(scene.skin.poses, scene.skin.ids, recording, job.seed)
+        names = ("iterations", *EARLY)
     metrics = {"force": {"reference_n": _force(recording, scene).reference}}
-    data = ReportData(done.calibration, recording, scene.skin, metrics=metrics, body=scene.body)
-    return draw_early(job.folder, data, forked=math.isinf(job.deadline.seconds))
+    data = ReportData(done.calibration, recording, scene.skin, {}, shown, metrics, body=scene.body)
+    return shown, begin_figures(job.folder / FIGURES, data, names, job.beside)
 
 
-def _report(job: _Job, result: Result, early: Beside[Drawn]) -> None:
+def _report(job: _Job, result: Result, early: dict[str, Drawing]) -> None:
     """Draw the report into the folder; the metrics say which figures no time is left for."""
-    from .report.data import ReportData
-    from .report.page import draw
-
-    scene, metrics, beside = result.scene, result.metrics, math.isinf(job.deadline.seconds)
+    scene, metrics = result.scene, result.metrics
     with job.timer.stage("report"):
         data = ReportData(
             result.calibration, result.recording, scene.skin, result.comparisons,
@@ -327,8 +328,7 @@ def _report(job: _Job, result: Result, early: Beside[Drawn]) -> None:
             provenance(scene=scene.name, seed=job.seed), scene.body,
         )  # fmt: skip
         hook = job.deadline.hook(job.progress, FIGURE_SECONDS)
-        done = early.result() if beside else {}
-        _, left_out = draw(job.folder / "report.html", data, hook, early=done, beside=beside)
+        _, left_out = draw(job.folder / "report.html", data, hook, job.beside, early)
         metrics["figures_left_out"] = left_out
 
 

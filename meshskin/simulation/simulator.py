@@ -323,10 +323,11 @@ class Simulator:
 
     def _check_flight(self, state: Array) -> None:
         """Raise PlaceError where a body without an arm is far from where it was."""
-        poses = poses_of_states(np.stack([self.state, state]))
-        before, now = poses @ np.append(self.body.surface.bounds.mean(axis=0), 1.0)
-        way, limit = float(np.linalg.norm(now - before)), MAX_FLIGHT * self.body.surface.scale
-        if way > limit:
+        middle, limit = self.body.surface.bounds.mean(axis=0), MAX_FLIGHT * self.body.surface.scale
+        if np.linalg.norm(state[:3] - self.state[:3]) + 2 * np.linalg.norm(middle) <= limit:
+            return  # near, however it turned
+        before, now = poses_of_states(np.stack([self.state, state])) @ np.append(middle, 1.0)
+        if (way := float(np.linalg.norm(now - before))) > limit:
             raise PlaceError(
                 "the body flew off its path",
                 value=f"{way:.3g} m at once at {self._at(self.state)}",

@@ -18,6 +18,7 @@ from functools import cached_property
 from itertools import islice
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ...core.arrays import Array, sums_by_group
 from ..data.global_parameters import DRIFT_SIZE, OWN_DEPARTURES, PRIOR_SIGMAS, PRIORS
@@ -236,9 +237,17 @@ class FittedReadings:
     def _coupling(self, columns: Array) -> Array:
         """Couplings (n, D, q) of each taxel's own unknowns, in their scales, with parameters of the
         derivatives `columns` (k, q)."""
-        taxel, n, own = self.readings.taxel, len(self.points), self.own * self.curvature
-        sums = [sums_by_group((own * column).T, taxel, n) for column in columns.T]
-        return np.asarray(np.stack(sums, axis=2) / self._own_information[0][:, :, None])
+        sums = (self._by_unknown @ columns).reshape(len(self.own), len(self.points), -1)
+        return np.asarray(np.moveaxis(sums, 0, 1) / self._own_information[0][:, :, None])
+
+    @cached_property
+    def _by_unknown(self) -> csr_array:
+        """Second derivatives (D n, k) in each of the taxels' own unknowns and in the readings."""
+        (size, count), n = self.own.shape, len(self.points)
+        rows = self.readings.taxel + n * np.arange(size)[:, None]
+        columns = np.broadcast_to(np.arange(count), rows.shape)
+        entries = (self.own * self.curvature).ravel(), (rows.ravel(), columns.ravel())
+        return csr_array(entries, shape=(n * size, count))
 
     def _solved(self, coupling: Array) -> Array:
         return np.asarray(np.linalg.solve(self._own_information[1], coupling))
