@@ -34,9 +34,9 @@ from ..calibration import Calibration
 from ..data.patch_shape import fitting, over_patches
 from ..learned.start import Former
 from ..uncalibrated import unconverged
-from .clock import first_offset
+from .clock import first_offset, timed_by_the_fastest
 from .corrected import corrected, with_clock
-from .heights import Heights, closest_at_scale, depths, timed_by_the_fastest
+from .heights import Heights, closest_at_scale, depths
 from .joint_residuals import joint_residuals
 from .log_calibration import AT_REST, LogCalibration
 from .mesh_error import MeshError

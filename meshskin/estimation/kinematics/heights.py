@@ -16,7 +16,7 @@ keeps its height, and the noise of the joints' rates would pass for information.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -26,7 +26,7 @@ from ...core.arrays import Array, huber_cost, huber_weights, robust_sigma, sums_
 from ...core.errors import CalibrationError
 from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
-from ...robot.contact_kinematics import JOINT_DELAY, JOINT_OFFSET, ContactKinematics, JointPath
+from ...robot.contact_kinematics import JOINT_DELAY, ContactKinematics, JointPath
 from ...scene.belief import Belief
 from ..data.registration import MIN_SCATTER, cells
 from ..data.resolve_belief import nominal_patches
@@ -311,22 +311,6 @@ class Heights:
         mean = np.asarray(x - np.linalg.solve(hessian, gradient), dtype=float)
         covariance = np.asarray(np.linalg.inv(hessian), dtype=float)
         return LinearizedHeights(mean[:count], covariance[:count, :count])
-
-
-def timed_by_the_fastest(
-    model: ContactKinematics, path: JointPath, time: Array, body: Body
-) -> ContactKinematics:
-    """The kinematics with delays of all joints but the one that moves the heights at times (m,), s,
-    fastest: delays of the others and of the clock are relative to its stamps, which determine most.
-    Unchanged where the joints that are delayed are given."""
-    names = model.chain.joint_names
-    if model.delayed is not None or JOINT_DELAY not in model.columns or len(names) < 2:
-        return model
-    offsets = replace(model, unknown={JOINT_OFFSET: 1.0})
-    centres, slopes = offsets.centres(path, time, np.zeros(len(names)))
-    by_joint = np.einsum("mi,mij->mj", body.closest(centres).normal, slopes)
-    fastest = int(np.argmax(np.sum((by_joint * path.at(time)[1]) ** 2, axis=0)))
-    return replace(model, delayed=names[:fastest] + names[fastest + 1 :])
 
 
 def depths(belief: Belief, curvature: Array, force: Array) -> Array:
