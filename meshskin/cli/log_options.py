@@ -147,9 +147,14 @@ def _lines(found: LogCalibration) -> list[str]:
     before, after = found.heights_mm
     model = found.kinematics
     timed = [name for name in model.chain.joint_names if name not in (model.delayed or ())]
+    off = [
+        f"  {found.off_body} contacts left out: they lie off the body by half an indentation or "
+        "more, the others on it (another object or part of the robot pressed the skin?)"
+    ]
     against = [f"  delays of joints and clock are against the stamps of {timed[0]}"]
     return [
         f"  contacts lie {before:.3g} mm off the body before the estimate, {after:.2g} mm after it",
+        *(off if found.off_body else []),
         *(against if JOINT_DELAY in model.columns and timed else []),
         *(f"  {residual.words}" for residual in found.joint_residuals if residual.words),
     ]

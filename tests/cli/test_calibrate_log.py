@@ -96,8 +96,11 @@ def test_one_command(folder, capsys):
 def test_a_joint_is_printed_where_chance_does_not_explain_its_error():
     model = SimpleNamespace(chain=SimpleNamespace(joint_names=("elbow",)), delayed=None, columns={})
     residuals = (JointResidual("elbow", 0.01, 0.6, 0.0), JointResidual("wrist", 0.01, 0.5, 1.0))
-    found = SimpleNamespace(heights_mm=(2.0, 0.1), kinematics=model, joint_residuals=residuals)
-    heights, *named = log_options._lines(found)
+    found = SimpleNamespace(
+        heights_mm=(2.0, 0.1), kinematics=model, joint_residuals=residuals, off_body=7
+    )
+    heights, off, *named = log_options._lines(found)
+    assert off.startswith("  7 contacts left out: they lie off the body")
     assert heights == "  contacts lie 2 mm off the body before the estimate, 0.1 mm after it"
     (line,) = named
     assert line.startswith("  elbow: an error that varies with its angle would explain 60%")

@@ -26,7 +26,7 @@ from ...recording.log_contacts import (
 )
 from ...recording.recording import Recording
 from ...recording.skin_log import NOISY, SkinLog
-from ...robot.contact_kinematics import ContactKinematics, JointPath
+from ...robot.contact_kinematics import AveragedPath, ContactKinematics, JointPath
 from ...scene.belief import RAW, Belief
 from ...scene.contact_motion import ContactMotion
 from ..calibrate import Estimation
@@ -34,15 +34,15 @@ from ..calibration import Calibration
 from ..data.patch_shape import fitting, over_patches
 from ..learned.start import Former
 from ..uncalibrated import unconverged
-from .clock import first_offset
+from .clock import first_offset, timed_by_the_fastest
 from .corrected import corrected, with_clock
-from .heights import Heights, closest_at_scale, depths, timed_by_the_fastest
+from .heights import Heights, closest_at_scale, depths
 from .joint_residuals import joint_residuals
 from .log_calibration import AT_REST, LogCalibration
 from .mesh_error import MeshError
 from .plausible import check_on_body
 from .pulled import widened
-from .steady import steady
+from .steady import steady, taken
 
 MAX_ROUNDS = 5
 """Largest number of times that contacts are computed anew; two or three are usual."""
@@ -60,6 +60,8 @@ CLOCK_FITS = 2
 """Fits of the clock and the heights in turn: the delays of joints do not change after the first."""
 HEIGHT_FITS = 2
 """Fits of the heights, each with depths at the contacts of the last one: depths change little."""
+OFF_FITS = 4
+"""Fits of the heights, each without the contacts that the last one leaves off the body."""
 TOO_NOISY = f"noise at rest is more than {NOISY:g} times that of most taxels: repair or exchange it"
 """Reason of a taxel whose readings are left out."""
 
@@ -105,7 +107,7 @@ def calibrate_log(
     found = replace(found, reasons=np.where(left_out, TOO_NOISY, found.reasons))
     result = LogCalibration(
         found, last.recording, kinematics, after, before, rounds, last.unrest, factor, by_joint,
-        failure,
+        failure, heights.off,
     )  # fmt: skip
     verdict = None if found.verdict is None else found.verdict.with_doubts(result.contradictions)
     warn_left_out("calibrated", found.reasons_left_out, len(found.ids))
@@ -290,11 +292,10 @@ def _started(
         used, means = steady(
             on_clock, path, frames, centres, scale * hit.distance, depth, belief.indenter.radius
         )
-        time, force = used.time - clock, _forces(used, belief)
-        timed = timed_by_the_fastest(kinematics, means, time, belief.body)
+        timed = timed_by_the_fastest(kinematics, means, used.time - clock, belief.body)
         begin = on_clock.time[[touch.start for touch in on_clock.contacts]]
         touch = np.searchsorted(begin, used.time, side="right")
-        heights, x = _heights(timed, means, time, belief, force, touch)
+        used, heights, x = _heights(timed, used, means, clock, belief, touch)
         s = x[:-3]
     return used, clock, heights, x
 
@@ -306,22 +307,31 @@ def _forces(log: SkinLog, belief: Belief) -> Array:
 
 def _heights(
     kinematics: ContactKinematics,
-    path: JointPath,
-    time: Array,
+    log: SkinLog,
+    path: AveragedPath,
+    clock: float,
     belief: Belief,
-    force: Array,
     touch: np.ndarray,
-) -> tuple[Heights, Array]:
-    """The heights of the contacts, and x (K + 3,) that meets them; touch (m,): as of Heights."""
-    x = np.zeros(len(kinematics.labels) + 3)
-    for _ in range(HEIGHT_FITS):
-        centres, _ = kinematics.centres(path, time, x[:-3])
-        hit = over_patches(belief, belief.body.closest(centres), force)
-        hit = fitting(hit, belief.indenter.radius)  # before the fit, contacts are anywhere
-        depth = depths(belief, hit.curvature, force)
-        error = MeshError.of(belief.body, hit, belief.surface_sigma)
-        heights = Heights(
-            kinematics, path, time, belief.body, belief.indenter.radius, depth, error, touch, force
-        )
-        x = heights.fit(x)
-    return replace(heights, known=heights.linearized(x)), x
+) -> tuple[SkinLog, Heights, Array]:
+    """The contacts of a log that are on the body, their heights, and x (K + 3,) that meets these;
+    path: theirs; clock: its offset, s; touch (m,): as of Heights."""
+    x, total = np.zeros(len(kinematics.labels) + 3), len(log.time)
+    for fits in range(1, OFF_FITS + 1):
+        time, force = log.time - clock, _forces(log, belief)
+        for _ in range(HEIGHT_FITS):
+            centres, _ = kinematics.centres(path, time, x[:-3])
+            hit = over_patches(belief, belief.body.closest(centres), force)
+            hit = fitting(hit, belief.indenter.radius)  # before the fit, contacts are anywhere
+            depth = depths(belief, hit.curvature, force)
+            error = MeshError.of(belief.body, hit, belief.surface_sigma)
+            left_out = total - len(time)
+            heights = Heights(
+                kinematics, path, time, belief.body, belief.indenter.radius, depth, error, touch,
+                force, left_out,
+            )  # fmt: skip
+            x = heights.fit(x)
+        kept = heights.on_body(x)
+        if kept.all() or fits == OFF_FITS:
+            break
+        (log, path), touch = taken(log, path, kept), touch[kept]
+    return log, replace(heights, known=heights.linearized(x)), x

@@ -1,4 +1,4 @@
-"""A first offset of the clocks, by the contacts that each taxel responds to.
+"""A first offset of the clocks, by the contacts that each taxel responds to, and whose clock it is.
 
 At another offset the contacts are displaced along their path, to both sides where the passes over a
 taxel have two directions. They spread least at the true one, whatever the response is, and whatever
@@ -8,11 +8,14 @@ the time in which a contact passes a taxel it finds no way.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...core.arrays import Array, spreads_by_group
+from ...geometry.body import Body
 from ...recording.clock_offset import peak
-from ...robot.contact_kinematics import ContactKinematics, JointPath
+from ...robot.contact_kinematics import JOINT_DELAY, JOINT_OFFSET, ContactKinematics, JointPath
 from ..data.delay import CHANCE, MIN_USED, comparison
 
 LARGEST = 6.0
@@ -99,6 +102,22 @@ def first_offset(
     near = _offsets(NEAR)
     best = peak(near, -np.array([spread_at(offset) for offset in near]))
     return best if abs(best) < NEAR and gain(best / 2)[1] < CHANCE else 0.0
+
+
+def timed_by_the_fastest(
+    model: ContactKinematics, path: JointPath, time: Array, body: Body
+) -> ContactKinematics:
+    """The kinematics with delays of all joints but the one that moves the heights at times (m,), s,
+    fastest: delays of the others and of the clock are relative to its stamps, which determine most.
+    Unchanged where the joints that are delayed are given."""
+    names = model.chain.joint_names
+    if model.delayed is not None or JOINT_DELAY not in model.columns or len(names) < 2:
+        return model
+    offsets = replace(model, unknown={JOINT_OFFSET: 1.0})
+    centres, slopes = offsets.centres(path, time, np.zeros(len(names)))
+    by_joint = np.einsum("mi,mij->mj", body.closest(centres).normal, slopes)
+    fastest = int(np.argmax(np.sum((by_joint * path.at(time)[1]) ** 2, axis=0)))
+    return replace(model, delayed=names[:fastest] + names[fastest + 1 :])
 
 
 def _offsets(largest: float) -> Array:

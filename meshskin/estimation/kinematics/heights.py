@@ -16,7 +16,7 @@ keeps its height, and the noise of the joints' rates would pass for information.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -26,7 +26,7 @@ from ...core.arrays import Array, huber_cost, huber_weights, robust_sigma, sums_
 from ...core.errors import CalibrationError
 from ...geometry.body import Body
 from ...geometry.surface.closest_point import Closest
-from ...robot.contact_kinematics import JOINT_DELAY, JOINT_OFFSET, ContactKinematics, JointPath
+from ...robot.contact_kinematics import JOINT_DELAY, ContactKinematics, JointPath
 from ...scene.belief import Belief
 from ..data.registration import MIN_SCATTER, cells
 from ..data.resolve_belief import nominal_patches
@@ -53,6 +53,17 @@ the depth of an indentation."""
 STROKE = 2.0
 """Time, s, in which the force of a touch is alike. Chosen: that of a stroke; controllers of a force
 correct it within a second."""
+LEAST_LEFT = 0.1
+"""Part of the squares of errors that strokes share, that the residuals show at least: of smaller
+ones, other errors are most of what they show."""
+OFF = 10.0
+"""Height of a contact over the others', in their standard deviations, from which it is off the
+body; it is so by more than half an indentation, too."""
+OFF_STROKE = 0.25
+"""Part of the contacts of a stroke from which all are off the body: unknowns of the robot are
+fitted to a fast one, and meet some of its heights."""
+MOST_OFF = 0.1
+"""Part of the contacts up to which they may be off the body: of more, the others may be wrong."""
 LOG_DEPTH = 0.7
 """Standard deviation of the logarithm k of the depths: that of E* within a factor e, as
 `PRIORS["modulus"]`, of which the depth is the power -2/3."""
@@ -104,6 +115,8 @@ class Heights:
     """Number (m,) of the touch of each contact; empty: each contact is a touch of its own."""
     force: Array | float = 1.0
     """Forces (m,), N, of the contacts, or that of all."""
+    off: int = 0
+    """Number of contacts that were left out, off the body."""
     known: LinearizedHeights | None = None
     """What they tell about their own optimum. About where readings have moved the contacts, heights
     of other places would give another mean, nearer to there."""
@@ -116,6 +129,16 @@ class Heights:
     def sunk(self, x: Array) -> Array:
         """Depths (m,), m, of the indentations at x (K + 3,)."""
         return np.asarray(np.exp(x[-3] + x[-2] * self._load) * self.depth)
+
+    def on_body(self, x: Array) -> np.ndarray:
+        """Contacts (m,) bool that are where the others lie on the body at x (K + 3,): something
+        else pressed the skin in others, or the indenter beside it, or the path leads through the
+        body. All where too many are not."""
+        r, strokes = self.residuals(x)[0], self._strokes
+        off = np.abs(r) > max(OFF * _scatter(r), float(np.median(self.sunk(x))) / 2)
+        share = np.bincount(strokes, off) / np.bincount(strokes)
+        off |= share[strokes] > OFF_STROKE
+        return np.asarray(~off if np.mean(off) <= MOST_OFF else np.ones(len(r), dtype=bool))
 
     @cached_property
     def _load(self) -> Array | float:
@@ -149,7 +172,7 @@ class Heights:
         deeper than the indenter's radius.
         """
         x = self._descended(np.zeros(len(self.precision)) if start is None else start)
-        if _scatter(self.residuals(x)[0]) > FAR:
+        if _scatter(self.residuals(x)[0]) > FAR or np.median(self.sunk(x)) > self.radius:
             x = min(
                 (x, *map(self._descended, self._aside())),
                 key=lambda found: _scatter(self.residuals(found)[0]),
@@ -224,14 +247,11 @@ class Heights:
         (m, K + 3), and their design effect, by which these are divided.
 
         Residuals are alike in a cell of the body, as wide as a face, by errors of its surface, and
-        in a stroke by its force. The fit takes up as many strokes as it determines unknowns.
+        in a stroke by its force. Of errors that strokes share, the fit takes up a part.
         """
         weight, strokes = huber_weights(r, _scatter(r)), self._strokes
-        groups = cells(points, self.mesh_error.cell), strokes
-        alike = max(design_effect(group, weight * r) for group in groups)
-        if free := self._free_strokes(weight, jacobian):
-            count = int(strokes.max()) + 1
-            alike = max(alike, design_effect(strokes, weight * r) * count / free)
+        alike = design_effect(strokes, weight * r, self._hidden(weight, jacobian))
+        alike = max(alike, design_effect(cells(points, self.mesh_error.cell), weight * r))
         return weight / alike, alike
 
     @cached_property
@@ -246,13 +266,15 @@ class Heights:
         pairs = np.column_stack([self.touch, part])
         return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].ravel())
 
-    def _free_strokes(self, weight: Array, jacobian: Array) -> float:
-        """Strokes less the unknowns that heights of precisions `weight` (m,) and derivatives
-        `jacobian` (m, K + 3) determine; 0 where that leaves less than half of the strokes, whose
-        residuals do not show the errors that they share."""
-        data, count = jacobian.T @ (weight[:, None] * jacobian), int(self._strokes.max()) + 1
-        free = count - float(np.trace(np.linalg.solve(data + np.diag(self.precision), data)))
-        return free if free > count / 2 else 0.0
+    def _hidden(self, weight: Array, jacobian: Array) -> float:
+        """Squares of the errors that strokes share, in those that a fit by heights of precisions
+        `weight` (m,) and derivatives `jacobian` (m, K + 3) leaves in their residuals."""
+        weighted = weight[:, None] * jacobian
+        shared = sums_by_group(weighted, self._strokes)
+        normal = jacobian.T @ weighted + np.diag(self.precision)
+        whole = np.bincount(self._strokes, weight)
+        left = np.diag(whole) - shared @ np.linalg.solve(normal, shared.T)
+        return 1 / max(float(np.sum(left**2) / np.sum(whole**2)), LEAST_LEFT)
 
     def with_surface(self, s: Array) -> Array:
         """x (K + 3,) of the unknowns s (K,) with the depths and the surface that they leave to the
@@ -291,22 +313,6 @@ class Heights:
         return LinearizedHeights(mean[:count], covariance[:count, :count])
 
 
-def timed_by_the_fastest(
-    model: ContactKinematics, path: JointPath, time: Array, body: Body
-) -> ContactKinematics:
-    """The kinematics with delays of all joints but the one that moves the heights at times (m,), s,
-    fastest: delays of the others and of the clock are relative to its stamps, which determine most.
-    Unchanged where the joints that are delayed are given."""
-    names = model.chain.joint_names
-    if model.delayed is not None or JOINT_DELAY not in model.columns or len(names) < 2:
-        return model
-    offsets = replace(model, unknown={JOINT_OFFSET: 1.0})
-    centres, slopes = offsets.centres(path, time, np.zeros(len(names)))
-    by_joint = np.einsum("mi,mij->mj", body.closest(centres).normal, slopes)
-    fastest = int(np.argmax(np.sum((by_joint * path.at(time)[1]) ** 2, axis=0)))
-    return replace(model, delayed=names[:fastest] + names[fastest + 1 :])
-
-
 def depths(belief: Belief, curvature: Array, force: Array) -> Array:
     """Depths (m,), m, of contacts at curvatures (m, 2), 1/m, under forces (m,), N."""
     material = belief.material
@@ -329,8 +335,11 @@ def _scatter(r: Array) -> float:
     return max(robust_sigma(r), MIN_SCATTER)
 
 
-def design_effect(group: np.ndarray, residuals: Array) -> float:
+def design_effect(group: np.ndarray, residuals: Array, hidden: float = 1.0) -> float:
     """Variance of the mean of residuals (m,) that are alike in a group (m,), in relation to that of
-    independent ones; at least 1."""
+    independent ones; at least 1.
+
+    hidden: squares of the errors that groups share over those of the residuals that they leave.
+    """
     sums = sums_by_group(residuals, group)
-    return max(1.0, float(np.sum(sums**2) / max(np.sum(residuals**2), 1e-300)))
+    return max(1.0, hidden * float(np.sum(sums**2) / max(np.sum(residuals**2), 1e-300)))

@@ -63,6 +63,8 @@ class LogCalibration(Value, Card):
     failure: str = ""
     """Why the calibration with the contacts as they were found failed, and is that of the round
     before; empty where it did not."""
+    off_body: int = 0
+    """Number of contacts that were left out as they lie off the body where the others lie on it."""
 
     def facts(self) -> dict[str, str]:
         """The facts of the calibration, and what the log shows of the robot, for a notebook."""
@@ -133,7 +135,8 @@ class LogCalibration(Value, Card):
             }
             for found in self.joint_residuals
         }
-        return {"height_before_mm": before, "height_mm": after, "joints": joints}
+        heights = {"height_before_mm": before, "height_mm": after, "off_body": self.off_body}
+        return {**heights, "joints": joints}
 
     @property
     def contradictions(self) -> tuple[str, ...]:

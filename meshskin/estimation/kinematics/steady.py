@@ -27,6 +27,8 @@ BESIDE = 0.5
 SHALLOW = 0.3
 """Part of the depth by which a contact is higher than another one of the touch in the same place,
 from which it is left out: its force is below 0.6 of that one's (Hertz)."""
+FRAMES = "time", "joint_angles", "readings", "in_contact", "force"
+"""Arrays of a log by frame."""
 MAX_CONTACTS = 5000
 """Contacts that are kept, evenly chosen: with a thousand the log of `tests/estimation/kinematics/
 test_bag.py` is not within 1.2 of its bound."""
@@ -124,3 +126,12 @@ def _means(
         force=None if log.force is None else mean(log.force),
     )
     return means, AveragedPath(path.time, path.angles, log.time[rows] - time[row], start)
+
+
+def taken(log: SkinLog, path: AveragedPath, kept: np.ndarray) -> tuple[SkinLog, AveragedPath]:
+    """The log and the path of the contacts `kept` (m,) bool of those of `steady`."""
+    count = np.diff(np.append(path.first, len(path.apart)))
+    first = np.cumsum(count[kept]) - count[kept]
+    arrays = {name: getattr(log, name)[kept] for name in FRAMES if getattr(log, name) is not None}
+    frames = replace(path, apart=path.apart[np.repeat(kept, count)], first=first)
+    return replace(log, **arrays), frames

@@ -12,8 +12,8 @@ from meshskin.core.errors import CalibrationError, ConfigError, LeftOutWarning, 
 from meshskin.estimation.calibrate import Estimation, calibrate
 from meshskin.estimation.kinematics import calibrate_log as log_module
 from meshskin.estimation.kinematics.calibrate_log import calibrate_log
-from meshskin.estimation.kinematics.clock import first_offset
-from meshskin.estimation.kinematics.heights import Heights, timed_by_the_fastest
+from meshskin.estimation.kinematics.clock import first_offset, timed_by_the_fastest
+from meshskin.estimation.kinematics.heights import Heights
 from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, position_errors
 from meshskin.recording.log_contacts import at_clock, contact_frames, joint_path, recording_of
 

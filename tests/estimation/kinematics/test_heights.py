@@ -1,5 +1,7 @@
 """Heights over bodies on which the contacts nearly fit in more than one place."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -37,10 +39,12 @@ def shell(outer, wall):
     return ms.Body("shell", trimesh.util.concatenate([trimesh.creation.icosphere(3, outer), inner]))
 
 
+@pytest.mark.parametrize("spread", [0.5, 0.15])
 @pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in (2, 3))])
-def test_contacts_that_are_believed_inside_a_thin_wall_return_to_its_outer_side(seed):
+def test_contacts_that_are_believed_inside_a_thin_wall_return_to_its_outer_side(seed, spread):
+    """On a small part of the wall the heights nearly fit within it, at 9 mm deep indentations."""
     rng, body = np.random.default_rng(seed), shell(0.04, 4e-3)
-    way = np.array([0.0, 0.0, 1.0]) + 0.5 * rng.normal(size=(80, 3))
+    way = np.array([0.0, 0.0, 1.0]) + spread * rng.normal(size=(80, 3))
     way /= np.linalg.norm(way, axis=1)[:, None]
     truth = np.array([1e-3, -2e-3, 12e-3])
     time = np.arange(80.0)
@@ -114,3 +118,47 @@ def test_contacts_on_a_face_share_its_error():
     dents, faces = (np.sqrt(np.mean(np.square(errors[k::2]))) for k in range(2))
     assert faces < 1.3
     assert 1.3 * faces < dents, (faces, dents)
+
+
+def strokes_on_ellipsoid(rng, strokes, count):
+    """Centres (strokes count, 3), m, of an indenter in strokes of 30 mm over an ellipsoid, and
+    their normals; the body; the stroke of each."""
+    body = ms.Body.ellipsoid((0.05, 0.04, 0.03))
+    way = rng.normal(size=(strokes, 3)) * [1.0, 1.0, 0.4] + [0.0, 0.0, 0.7]
+    along = rng.normal(size=(strokes, 3))
+    run = np.linspace(-0.015, 0.015, count)[:, None]
+    hit = body.closest((0.05 * way[:, None] + run * along[:, None]).reshape(-1, 3))
+    stroke = np.repeat(np.arange(strokes), count)
+    return body, hit.point + (RADIUS - DEPTH) * hit.normal, hit.normal, stroke
+
+
+def test_errors_of_few_strokes_are_not_taken_for_small_ones_where_the_fit_takes_them_up():
+    """Eight strokes, of which each is 0.05 mm off, and six unknowns: the residuals show 40 % of the
+    squares. Taken for all, they left 1.9 standard deviations of the displacement, and now 1.2."""
+    errors, truth = [], np.array([1e-3, -2e-3, 2e-3])
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        body, centres, normals, stroke = strokes_on_ellipsoid(rng, 8, 30)
+        centres = centres + 5e-5 * rng.normal(size=8)[stroke, None] * normals
+        time, force = 1e-3 * np.arange(len(stroke)), np.exp(0.2 * rng.normal(size=8))[stroke]
+        path, depth = JointPath(time, centres - truth), np.full(len(time), DEPTH)
+        known = Moved(), path, time, body, RADIUS, depth, MeshError(0.0, 0.2)
+        errors.append(z_scores(Heights(*known, touch=stroke, force=force), truth))
+    assert np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+def test_contacts_off_the_body_are_found_where_a_joint_is_fitted_to_them():
+    """A way through the body between two strokes, 0.3 to 5 mm deep, of 20 among 600 contacts: all
+    of these, and no other."""
+    rng, truth = np.random.default_rng(7), np.array([1e-3, -2e-3, 2e-3])
+    body, centres, normals, stroke = strokes_on_ellipsoid(rng, 30, 20)
+    through = stroke == 11
+    sunk = np.where(through, 3e-4 + 5e-3 * np.sin(np.linspace(0, np.pi, 600) * 30) ** 2, 0.0)
+    centres = centres - sunk[:, None] * normals + 1e-5 * rng.normal(size=centres.shape)
+    time = 0.05 * np.arange(600.0)
+    path = JointPath(time, centres - truth)
+    heights = Heights(Moved(), path, time, body, RADIUS, np.full(600, DEPTH), touch=stroke)
+    on = heights.on_body(heights.fit())
+    np.testing.assert_array_equal(on, ~through)
+    few = replace(heights, time=time[200:260], depth=heights.depth[200:260], touch=stroke[200:260])
+    assert few.on_body(few.fit()).all()  # a third of all: the others may be wrong
