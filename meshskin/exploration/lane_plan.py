@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -33,12 +34,10 @@ from .left_out import (
 from .path import Path, Plan
 from .pressing import grown_runs, lighter_helps, lighter_note, lighter_rigs, pressed_lighter
 from .spacing import check_spacing, spacing_for
-from .tour import ContactPath, arm_path, contact_paths, free_path
+from .tour import SHORT, ContactPath, Parts, arm_paths, contact_paths, free_paths
 
 STEP = 3e-3
 """Largest distance of samples along a lane, m: about half the distance of neighbouring taxels."""
-SHORT = 3
-"""Fewest samples of a lane that are worth a segment: a spline needs as many."""
 NODE_STEP, NODE_TURN = 6e-3, 0.1
 """Largest distance, m, and turn of the normal, rad, between samples at which postures are sought.
 The arm is followed over the samples between them."""
@@ -137,13 +136,19 @@ def region_radius(sites: Array, margin: float, sensing_radius: float) -> float:
     return max(margin, min(0.75 * median_spacing(sites), 1.5 * sensing_radius))
 
 
-def _segments(
-    scene: Scene, rig: ContactRig, paths: list[ContactPath]
-) -> tuple[list[Path], list[Blocked]]:
-    """The segments along contact paths, and what an arm cannot reach."""
+def _segments(scene: Scene, rig: ContactRig, paths: list[ContactPath]) -> Parts:
+    """The segments along contact paths, and what cannot be reached."""
     if rig.arm is not None:
         return _arm_segments(scene, rig, paths)
-    return [free_path(scene, rig, path) for path in paths], []
+    return _joined(free_paths(scene, rig, path) for path in paths)
+
+
+def _joined(parts: Iterable[Parts]) -> Parts:
+    """The segments of all parts, and what cannot be reached in any."""
+    segments, blocked = list[Path](), list[Blocked]()
+    for more, others in parts:
+        segments, blocked = segments + more, blocked + others
+    return segments, blocked
 
 
 def _press_lighter(
@@ -211,26 +216,25 @@ def _arm_segments(
         path = paths[k].part(slice(own[0] - first[k], own[-1] + 1 - first[k]))
         spin = np.interp(own, known, chain.spin[begin:end])
         q = chain.q[begin + np.searchsorted(known, own, side="right") - 1]
-        parts = _split(scene, rig, path, tangents[own], spin, q)
-        segments += parts
-        if not parts:
+        parts, unreached = _split(scene, rig, path, tangents[own], spin, q)
+        segments, blocked = segments + parts, blocked + unreached
+        if not parts and not unreached:
             blocked.append((path.points, np.full(len(path), WINDING, dtype=object)))
     return segments, blocked
 
 
 def _split(
     scene: Scene, rig: ContactRig, path: ContactPath, tangents: Array, spin: Array, q: Array
-) -> list[Path]:
-    """The segment along a contact path, in halves where an endless joint of the chain winds up."""
+) -> Parts:
+    """The segments along a contact path, in halves where an endless joint of the chain winds up."""
     if len(path) < SHORT:
-        return []
+        return [], []
     try:
-        return [arm_path(scene, rig, path, tangents, spin, q[0])]
+        return arm_paths(scene, rig, path, tangents, spin, q[0])
     except ReachError:
         middle = len(path) // 2
     halves = slice(0, middle), slice(middle, len(path))
-    parts = (_split(scene, rig, path.part(h), tangents[h], spin[h], q[h]) for h in halves)
-    return [segment for part in parts for segment in part]
+    return _joined(_split(scene, rig, path.part(h), tangents[h], spin[h], q[h]) for h in halves)
 
 
 def _sparse_nodes(

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..core.arrays import Array
+from ..core.arrays import Array, Index
 from ..core.errors import ReachError
 from ..core.se3 import log_so3
 from ..geometry.geodesics import rotate_about, transport_along
@@ -17,8 +17,14 @@ from ..geometry.surface.closest_point import Closest
 from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
 from ..scene.settings import Exploration
+from .left_out import Blocked
 from .path import Path, body_twists, time_scaling
 
+Parts = tuple[list[Path], list[Blocked]]
+"""Parts of a path, and what cannot be touched between them."""
+
+SHORT = 3
+"""Fewest samples of a lane that are worth a segment: a spline needs as many."""
 LONGEST_LINK = 8.0
 """Longest slide from lane to lane, in lane spacings. Chosen: 28 mm take 0.6 s at 50 mm/s, less than
 a lift, a transfer and a new approach."""
@@ -138,15 +144,15 @@ def _concatenated(legs: list[Closest]) -> ContactPath:
     return ContactPath(whole.point, whole.normal, (0, *(int(k) for k in stops)))
 
 
-def free_path(scene: Scene, rig: ContactRig, path: ContactPath) -> Path:
-    """The path over one contact path of a body without an arm, a row a step of the loop."""
-    return _path(scene, rig, path, transport_along(path.normals), np.zeros((len(path), 0)))
+def free_paths(scene: Scene, rig: ContactRig, path: ContactPath) -> Parts:
+    """The paths along one contact path of a body without an arm, a row a step of the loop."""
+    return _paths(scene, rig, path, transport_along(path.normals), np.zeros((len(path), 0)))
 
 
-def arm_path(
+def arm_paths(
     scene: Scene, rig: ContactRig, path: ContactPath, tangents: Array, spin: Array, posture: Array
-) -> Path:
-    """The path over one contact path that an arm follows from a posture (n,), a row a step.
+) -> Parts:
+    """The paths along one contact path that an arm follows from a posture (n,), a row a step.
 
     tangents (k, 3): headings at spin 0; spin (k,), rad, is smoothed as far as the joints allow.
     Raises ReachError.
@@ -161,31 +167,61 @@ def arm_path(
             q, held = rig.follow(poses, posture)
             if held is not poses:
                 headings = rig.headings(held)
-            return _path(scene, rig, path, headings, q)
+            return _paths(scene, rig, path, headings, q)
         except ReachError as error:
             reason = error
     raise reason
 
 
-def _path(scene: Scene, rig: ContactRig, path: ContactPath, headings: Array, q: Array) -> Path:
-    """The path in time over samples with headings (k, 3) and joint angles (k, n)."""
+def _paths(scene: Scene, rig: ContactRig, path: ContactPath, headings: Array, q: Array) -> Parts:
+    """The paths in time over samples with headings (k, 3) and joint angles (k, n).
+
+    Between samples a row may come near an edge, or to where the contact model does not hold, such
+    as a kink of the surface: the path is cut there.
+    """
+    samples, at = _rows(scene, rig, path, headings, q)
+    hit = rig.body.surface.nearest(samples[:, :3])
+    reason = rig.patch_reasons(hit.point, hit.curvature)
+    if not (reason != "").any():
+        return [_path(scene, rig, hit, samples[:, 3:], q)], []
+    cut, rows = np.unique(at[reason != ""], return_index=True)
+    rows = np.flatnonzero(reason != "")[rows]
+    segments, blocked = list[Path](), [(hit.point[rows], reason[rows])]
+    for first, last in pairwise([-1, *cut, len(path) - 1]):
+        if last - first >= SHORT:
+            run = slice(first + 1, last + 1)
+            more, others = _paths(scene, rig, path.part(run), headings[run], q[run])
+            segments, blocked = segments + more, blocked + others
+    return segments, blocked
+
+
+def _rows(
+    scene: Scene, rig: ContactRig, path: ContactPath, headings: Array, q: Array
+) -> tuple[Array, Index]:
+    """Points and headings (m, 6) at every step in time, and the sample (m,) before each."""
     from scipy.interpolate import PchipInterpolator, make_interp_spline
-    from scipy.ndimage import gaussian_filter1d
 
     exploration, dt = scene.exploration, scene.loop.dt
     slowness, length = _slowness(rig, path, headings, q, exploration)
     rows = np.concatenate([path.points, headings], axis=1)
-    parts = [rows[:1]]
+    parts, before = [rows[:1]], [np.zeros(1, dtype=np.intp)]
     for start, end in pairwise(path.stops):
         s = np.concatenate([[0.0], np.cumsum(length[start:end])])
         t = np.concatenate([[0.0], np.cumsum((slowness * length)[start:end])])
         at = PchipInterpolator(t, s)(time_scaling(t[-1], exploration.ramp, dt) * t[-1])
         parts.append(make_interp_spline(s, rows[start : end + 1], k=min(3, end - start))(at))
-    samples = np.concatenate(parts)
-    hit = rig.body.surface.nearest(samples[:, :3])
+        before.append(np.clip(np.searchsorted(s, at) - 1, 0, end - start - 1) + start)
+    return np.concatenate(parts), np.concatenate(before)
+
+
+def _path(scene: Scene, rig: ContactRig, hit: Closest, headings: Array, q: Array) -> Path:
+    """The path through contact points (m,), a row a step, with headings (m, 3)."""
+    from scipy.ndimage import gaussian_filter1d
+
+    dt = scene.loop.dt
     centres, normals, tangents = (
         gaussian_filter1d(x, POSE_WIDTH / dt, axis=0, mode="nearest")
-        for x in (rig.indenter_centres(hit.point, hit.normal), hit.normal, samples[:, 3:])
+        for x in (rig.indenter_centres(hit.point, hit.normal), hit.normal, headings)
     )
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     tangents -= np.einsum("ij,ij->i", tangents, normals)[:, None] * normals

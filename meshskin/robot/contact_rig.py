@@ -114,14 +114,22 @@ class ContactRig:
         """
         reason = collision.contact_reasons(self.body, points, normals, self.indenter, self.depth)
         free = np.flatnonzero(reason == "")
-        gap = self._edge_tree.query(points[free], distance_upper_bound=self.patch_radius)[0]
-        reason[free[gap < self.patch_radius]] = collision.EDGE
-        free = np.flatnonzero(reason == "")
-        if self.model_reasons is not None and len(free):
-            reason[free] = self.model_reasons(self.body.surface.nearest(points[free]).curvature)
+        curvature = self.body.surface.nearest(points[free]).curvature
+        reason[free] = self.patch_reasons(points[free], curvature)
         free = np.flatnonzero(reason == "")
         held = accessibility.enclosed(self.body, points[free], normals[free], self.indenter.radius)
         reason[free[held]] = collision.ENCLOSED
+        return reason
+
+    def patch_reasons(self, points: Array, curvature: Array) -> Array:
+        """`contact_reasons` (k,) that need no search over the body: an edge is within the contact
+        patch, or the contact model does not hold at principal curvatures (k, 2), 1/m.
+        """
+        reason = np.full(len(points), "", dtype=object)
+        if self.model_reasons is not None and len(points):
+            reason[:] = self.model_reasons(curvature)
+        gap = self._edge_tree.query(points, distance_upper_bound=self.patch_radius)[0]
+        reason[gap < self.patch_radius] = collision.EDGE
         return reason
 
     def indenter_centres(self, points: Array, normals: Array) -> Array:

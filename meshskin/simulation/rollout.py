@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from ..core.arrays import Array
+from ..core.errors import PlaceError, ReachError
 from ..geometry.surface.surface import Surface
 from .closed_loop_model import REFERENCE, ClosedLoopModel, flat_anchor
 from .integrators import step
@@ -43,6 +44,20 @@ class Steps:
     """Phase of the exploration, an index of state_machine.PHASES."""
     reference: float
     """Reference contact force, N."""
+
+
+@dataclass(frozen=True)
+class GivenUp:
+    """A part of the path that was given up."""
+
+    place: int
+    rows: slice
+    """Rows of the place's track."""
+    error: PlaceError | ReachError
+    """Why."""
+
+    def __str__(self) -> str:
+        return str(self.error)
 
 
 def bind(

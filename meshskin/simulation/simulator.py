@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -24,7 +24,7 @@ from .closed_loop_model import (
 )
 from .integrators import step
 from .machine_code import machine_code
-from .rollout import InterpretedRollout, Rollout, Steps
+from .rollout import GivenUp, InterpretedRollout, Rollout, Steps
 from .track import FACE_MARGIN, IDENTITY_MAP, Track, face_maps, face_margin, map_foot
 
 EDGE_WEIGHT = 1e-6
@@ -40,20 +40,6 @@ on the mesh: there a patch of a long thin triangle, or at a crease, may leave th
 MAX_FLIGHT = 4.0
 """Way in one block of steps, in extents of the body, beyond which a body without an arm has flown
 off: a block lasts for half a second at steps of 1 ms, in which an approach makes 5 cm."""
-
-
-@dataclass(frozen=True)
-class GivenUp:
-    """A part of the path that was given up."""
-
-    place: int
-    rows: slice
-    """Rows of the place's track."""
-    error: PlaceError | ReachError
-    """Why."""
-
-    def __str__(self) -> str:
-        return str(self.error)
 
 
 class Simulator:
@@ -163,6 +149,8 @@ class Simulator:
         if not on and not self._off_path:
             self._relocate()
             return self.advance(track, phase, until_touch, track_normal, speed_fraction)
+        if not on:
+            states, outputs = self._followed(placed[:1])
         count = max(on, 1)
         left, outputs, states = count < ran, outputs[:count].copy(), states[: count + 1]
         self._check(states[1:], outputs)
@@ -179,6 +167,18 @@ class Simulator:
             self._rejoin(int(track.faces[count - 1]))
         self.seconds += perf_counter() - started
         return Steps(time, q, outputs, phase, self.force_reference)
+
+    def _followed(self, track: Track) -> tuple[Array, Array]:
+        """States (2, n) and output (1, m) of a step that follows a track (1,) along the normal,
+        too. The contact is that of the mesh: on a ridge a step of the foot point within the patch
+        of either side may lead off the surface, to any depth.
+        """
+        loop, self._parameters[-1] = self.loop, True
+        states, outputs = self.rollout.run(self.state, track, self._parameters, False)
+        poses = loop.body_poses(self.state[None, : self.size])
+        contact = transfer.contact_outputs(loop, *transfer.penetration(loop, self.body, poses))
+        contact[:, loop.outputs["torque"]] = outputs[:, loop.outputs["torque"]]
+        return states, contact
 
     def is_clear(self, poses: Array, leaving: bool = False) -> bool:
         """Whether the body at T_w_b (k, 4, 4) nowhere meets the indenter.

@@ -19,12 +19,12 @@ import numpy as np
 
 from ..core.arrays import Array
 from ..core.errors import EdgeError, LoopError, PlaceError, ReachError
-from ..core.se3 import interpolate, inverse, log_so3, poses_of_states, transform
+from ..core.se3 import poses_of_states
 from ..scene.settings import Exploration
 from . import transfer
-from .closed_loop_model import state_of_pose
-from .rollout import LENGTHS, Steps
-from .simulator import GivenUp, Simulator
+from .closed_loop_model import REFERENCE, state_of_pose
+from .rollout import LENGTHS, GivenUp, Steps
+from .simulator import Simulator
 from .track import Track, reference_poses
 
 PHASES = ("approach", "touch", "hold", "slide", "leave", "next")
@@ -41,8 +41,9 @@ MAX_LIFTS, CLEARANCE_STRIDE = 10, 16.0
 """Doublings of the standoff that are tried for a transfer; steps between its collision checks."""
 SKIP_TIME = 0.2
 """Time along the path that is skipped where it cannot be followed, s."""
-AIR_SPEED, AIR_TURN_RATE = 0.1, 1.0
-"""Largest speeds of transfers, m/s and rad/s."""
+HALVINGS, FACING = 5, 0.9
+"""Halvings of the standoff that are tried for an approach, and least cosine of the angle between
+the path's normal and that of the part of the body nearest to the indenter where it begins."""
 
 
 class ExplorationStateMachine:
@@ -67,6 +68,8 @@ class ExplorationStateMachine:
         """Reference force (places,), N; None: that of the law."""
         self._middle = simulator.body.surface.bounds.mean(axis=0)
         self.place, self.row = 0, 0
+        self._came = np.zeros((0, REFERENCE))
+        """References (k, 18) by which the contact came from where it was made; none in the air."""
         self.phase = APPROACH
         self.explored = False
         """Whether any contact point has followed its track."""
@@ -148,6 +151,7 @@ class ExplorationStateMachine:
         # the approach at full speed five times over, and the law's lag near the touch
         longest = 5 * self.exploration.standoff / loop.law.approach_speed + 20 / loop.law.gamma
         longest += 1.0 + self.exploration.approach_ramp
+        yield from self._descend(track.references[self.row])
         self.phase, force, first = APPROACH, 0.0, simulator.steps
         while not force > 0:
             if simulator.steps > first + int(np.ceil(longest / loop.dt)):
@@ -167,6 +171,25 @@ class ExplorationStateMachine:
             if abs(self._force(steps)[-1] / simulator.force_reference - 1.0) < SETTLED:
                 self.phase = HOLD
 
+    def _descend(self, reference: Array) -> Iterator[Steps]:
+        """From the standoff over a reference (18,), come straight down to where the place is the
+        nearest part of the body: in a hollow the approach would go to a wall beside it.
+        """
+        simulator, loop = self.simulator, self.simulator.loop
+        low, up = reference_poses(reference), loop.indenter_direction
+        heights = self.exploration.standoff * 0.5 ** np.arange(HALVINGS + 1)
+        poses = np.stack([transfer.raised(low, height * up) for height in heights])
+        q = simulator.state[: simulator.size]
+        here = loop.body_poses(q[None])[0]
+        if np.linalg.norm(here[:3, 3] - poses[0, :3, 3]) > 0.1 * heights[0]:
+            return  # near a contact that was lost
+        facing = simulator.body.closest(loop.indenter_centres(poses)).normal @ (-low[:3, :3].T @ up)
+        k = int(np.argmax(facing > FACING)) if facing.max() > FACING else HALVINGS
+        if k:
+            self.phase, way = NEXT, transfer.blend(here, poses[k], loop.dt)
+            way = loop.follow(way, q) if loop.joints else state_of_pose(way)
+            yield simulator.move(way, NEXT)
+
     def _press(self, rest: Track, first: int, until_touch: bool = False) -> Steps:
         """Steps of an approach that began at step `first`; single ones during its ramp."""
         simulator, dt, ramp = self.simulator, self.simulator.loop.dt, self.exploration.approach_ramp
@@ -180,6 +203,7 @@ class ExplorationStateMachine:
 
     def _slide(self, track: Track) -> Iterator[Steps]:
         """Follow the track from the present row, to its end or until contact is lost."""
+        first = max(self.row - len(self._came), 0)
         self.phase, patience = SLIDE, max(round(LOSS_TIME / self.simulator.loop.dt), 1)
         gap = 0
         while self.row < len(track):
@@ -190,10 +214,12 @@ class ExplorationStateMachine:
             lost = np.flatnonzero(gaps >= patience)
             if len(lost):  # continue from the last row in contact
                 self.row = max(self.row + int(ends[lost[0]]), 0)
+                self._came = track.references[first : self.row]
                 yield steps
                 return
             gap = int(gaps[-1])
             self.row += len(steps.time)
+            self._came = track.references[first : self.row]
             self.explored = True
             yield steps
 
@@ -215,7 +241,7 @@ class ExplorationStateMachine:
         """With an arm: lift off the end of a track."""
         simulator, dt = self.simulator, self.simulator.loop.dt
         low, high = reference_poses(track.references[-1]), self._above(track.references[-1])
-        poses = _blend(low, high, dt)
+        poses = transfer.blend(low, high, dt)
         if not simulator.loop.arm.holds_any_pose:
             # turned about the indenter's axis as the arm must
             poses = simulator.loop.body_poses(
@@ -230,14 +256,24 @@ class ExplorationStateMachine:
     def _float(self, goal: Array) -> Iterator[Steps]:
         """Without an arm: lift off until the body is free to turn, and move to `goal` (4, 4).
 
-        Raises PlaceError where the body meets the indenter on each of these paths.
+        Where the body cannot be lifted off, it goes back to where the contact was made. Raises
+        PlaceError where the body meets the indenter on each of these paths.
         """
         simulator = self.simulator
         low = poses_of_states(simulator.state[None])[0]
-        high, over = self._clear_poses(low, goal)
+        try:
+            high, over = self._clear_poses(low, goal)
+        except PlaceError:
+            if len(self._came) < 2:
+                raise
+            back, self.phase = reference_poses(self._came[::-1]), LEAVE
+            high, over = self._clear_poses(back[-1], goal)
+            yield simulator.move(state_of_pose(back), LEAVE)
+            low = back[-1]
         for self.phase, start, end in ((LEAVE, low, high), (NEXT, high, over), (NEXT, over, goal)):
-            poses = _blend(start, end, simulator.loop.dt, self._middle)
+            poses = transfer.blend(start, end, simulator.loop.dt, self._middle)
             yield simulator.move(state_of_pose(poses), self.phase)
+            self._came = self._came[:0]
 
     def _clear_poses(self, low: Array, goal: Array) -> tuple[Array, Array]:
         """Poses (4, 4) above `low` and above `goal` between which the body turns without contact.
@@ -252,10 +288,14 @@ class ExplorationStateMachine:
         overs: list[Array] = []
         rises = descends = True  # straight
         for lift in standoff * 2.0 ** np.arange(MAX_LIFTS):
-            high, over = _raised(low, lift * up), _raised(goal, (lift - standoff) * up)
-            rises = rises and simulator.is_clear(_blend(low, high, dt), leaving=True)
-            descends = descends and simulator.is_clear(_blend(over, goal, dt))
-            turned = _blend(high, over, dt, self._middle)
+            high, over = (
+                transfer.raised(low, lift * up),
+                transfer.raised(goal, (lift - standoff) * up),
+            )
+            step = dt if overs or highs else simulator.loop.dt  # as the body is moved
+            rises = rises and simulator.is_clear(transfer.blend(low, high, step), leaving=True)
+            descends = descends and simulator.is_clear(transfer.blend(over, goal, dt))
+            turned = transfer.blend(high, over, dt, self._middle)
             if rises and descends and simulator.is_clear(turned):
                 return high, over
             highs += [high] if rises else []
@@ -263,7 +303,7 @@ class ExplorationStateMachine:
         pairs = [(h, o) for h in highs[-1:] for o in overs]
         pairs += [(h, o) for h in highs for o in overs[-1:]]
         for high, over in pairs:
-            if simulator.is_clear(_blend(high, over, dt, self._middle)):
+            if simulator.is_clear(transfer.blend(high, over, dt, self._middle)):
                 return high, over
         raise PlaceError(
             "the body meets the indenter on every path through the air",
@@ -276,7 +316,7 @@ class ExplorationStateMachine:
         """Joint angles (k, n) from the present ones to a posture above the start of a track."""
         simulator, loop = self.simulator, self.simulator.loop
         low, high = reference_poses(goal.references[0]), self._above(goal.references[0])
-        poses = np.concatenate([_blend(low, high, loop.dt)[:: LENGTHS[0]], high[None]])
+        poses = np.concatenate([transfer.blend(low, high, loop.dt)[:: LENGTHS[0]], high[None]])
         above = loop.follow(poses, posture)[-1]
         start = simulator.state[: simulator.size].copy()
         return transfer.joint_path(loop, simulator.body, start, above)
@@ -284,7 +324,7 @@ class ExplorationStateMachine:
     def _above(self, reference: Array) -> Array:
         """T_w_b (4, 4) at the standoff over a reference (18,)."""
         up = self.simulator.loop.indenter_direction
-        return _raised(reference_poses(reference), self.exploration.standoff * up)
+        return transfer.raised(reference_poses(reference), self.exploration.standoff * up)
 
     def _force(self, steps: Steps) -> Array:
         return np.asarray(steps.outputs[:, self.simulator.loop.outputs["force"].start])
@@ -306,26 +346,3 @@ class ExplorationStateMachine:
 def approach_fraction(t: Any, ramp: Any, dt: Any) -> Any:
     """Part of the approach speed at t (s) after the approach began: a linear ramp; CasADi."""
     return ca.fmin((t + dt) / ca.fmax(ramp, dt), 1.0)
-
-
-def _raised(pose: Array, shift: Array) -> Array:
-    """A pose (4, 4) shifted by (3,), world frame, m."""
-    raised = pose.copy()
-    raised[:3, 3] += shift
-    return raised
-
-
-def _blend(start: Array, end: Array, dt: float, middle: Array | None = None) -> Array:
-    """Poses (k, 4, 4) from one to another, one a step, with a speed of half a sine wave.
-
-    middle (3,), m, body frame: what moves on a straight line, and the body turns about; by default
-    its origin, which may be far from it.
-    """
-    carried = transform(np.eye(3), np.zeros(3) if middle is None else middle)
-    start, end = start @ carried, end @ carried
-    angle = float(np.linalg.norm(log_so3(end[:3, :3] @ start[:3, :3].T)))
-    distance = float(np.linalg.norm(end[:3, 3] - start[:3, 3]))
-    time = 0.5 * np.pi * max(distance / AIR_SPEED, angle / AIR_TURN_RATE)
-    count = max(int(np.ceil(time / dt)), 2)
-    part = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, count))
-    return np.asarray(interpolate(start, end, part) @ inverse(carried))

@@ -13,6 +13,7 @@ import numpy as np
 from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
 from ..core.errors import ReachError
+from ..core.se3 import interpolate, inverse, log_so3, transform
 from ..exploration.path import time_scaling
 from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
@@ -31,6 +32,8 @@ MAX_JOINT_SPEED = 1.0
 """Largest joint speed, rad/s, also of a joint without a limit."""
 RAMP = 0.2
 """Time to speed up and to slow down, s: with MAX_JOINT_SPEED an acceleration of some 8 rad/s^2."""
+AIR_SPEED, AIR_TURN_RATE = 0.1, 1.0
+"""Largest speeds of a body that is moved without an arm, m/s and rad/s."""
 MIN_CLEARANCE = 1e-3
 """Least distance of body and indenter on the path, m."""
 CLEARANCE_SAMPLES = 60
@@ -147,3 +150,26 @@ def inverse_dynamics(arm: Arm) -> ca.Function:
     model = arm.dynamics()
     torque = model.mass_matrix(q) @ qdd + model.bias(q, qd)
     return ca.Function("inverse_dynamics", [q, qd, qdd], [torque], {"cse": True})
+
+
+def raised(pose: Array, shift: Array) -> Array:
+    """A pose (4, 4) shifted by (3,), world frame, m."""
+    raised = pose.copy()
+    raised[:3, 3] += shift
+    return raised
+
+
+def blend(start: Array, end: Array, dt: float, middle: Array | None = None) -> Array:
+    """Poses (k, 4, 4) from one to another, one a step, with a speed of half a sine wave.
+
+    middle (3,), m, body frame: what moves on a straight line, and the body turns about; by default
+    its origin, which may be far from it.
+    """
+    carried = transform(np.eye(3), np.zeros(3) if middle is None else middle)
+    start, end = start @ carried, end @ carried
+    angle = float(np.linalg.norm(log_so3(end[:3, :3] @ start[:3, :3].T)))
+    distance = float(np.linalg.norm(end[:3, 3] - start[:3, 3]))
+    time = 0.5 * np.pi * max(distance / AIR_SPEED, angle / AIR_TURN_RATE)
+    count = max(int(np.ceil(time / dt)), 2)
+    part = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, count))
+    return np.asarray(interpolate(start, end, part) @ inverse(carried))

@@ -12,7 +12,7 @@ from meshskin.core.errors import ReachError, SimulationError
 from meshskin.core.se3 import exp_so3, poses_of_states, transform
 from meshskin.exploration import parallels
 from meshskin.exploration.left_out import coverage
-from meshskin.exploration.path import ROWS, Path
+from meshskin.exploration.path import ROWS, Path, body_twists
 from meshskin.geometry.region import Cap
 from meshskin.scene.settings import Exploration, Law
 from meshskin.simulation import state_machine, transfer
@@ -225,6 +225,85 @@ def test_steps_over_a_patch_that_folds_are_taken_again_from_the_mesh(prepared, t
     explore_spoiled(simulator, track, along, beyond(0))
     (part,) = simulator.given_up
     assert (part.place, part.error.what) == (1, "the surface under the contact folds")
+
+
+@pytest.mark.deep
+def test_steps_that_lead_off_the_surface_have_the_contact_of_the_mesh(prepared, track, along):
+    """On a ridge a step of the foot point may lead off the surface from the mesh's own, too."""
+
+    def beside(states, outputs):
+        outputs[:, 6] *= 50.0
+        states[1:, -2:] = -0.2
+
+    simulator, path = prepared("quasi_static")
+    _, found = explore_spoiled(simulator, track, along, beside)
+    assert not simulator.given_up
+    outputs = np.concatenate([s.outputs for s in found if s.phase == state_machine.SLIDE])
+    assert len(outputs) == 800
+    assert outputs[:, 6] == pytest.approx(3.0, abs=0.05)
+    assert np.linalg.norm(outputs[-1, :3] - path.points[1799]) < 1e-3
+
+
+def corner(sphere):
+    """A floor, 40 mm wide, with a wall 15 mm high at x = 0, and a scene over it."""
+    x, z = np.array([[-10, 40, 40, 0, 0, -10], [-8, -8, 0, 0, 15, 15]]) * 1e-3
+    points = np.concatenate([np.column_stack([x, np.full(6, y), z]) for y in (-0.02, 0.02)])
+    cap = np.array([[0, 1, 3], [1, 2, 3], [0, 3, 5], [3, 4, 5]])
+    sides = [[k, k + 6, (k + 1) % 6, (k + 1) % 6, k + 6, (k + 1) % 6 + 6] for k in range(6)]
+    faces = np.concatenate([cap, cap[:, ::-1] + 6, np.reshape(sides, (-1, 3))])
+    body = ms.Body.from_mesh(trimesh.Trimesh(points, faces).subdivide().subdivide())
+    return sphere.with_(
+        body=body, skin=ms.Skin.cover(body, spacing=8e-3, count=4, seed=1),
+        loop=replace(sphere.loop, mode="quasi_static"), indenter=ms.Indenter.sphere(4e-3),
+        contact="elliptic", material=ms.Material(young=1e6),
+    )  # fmt: skip
+
+
+def floor_track(scene, x, rows=200):
+    """A track over the floor, 20 mm long in y, at `x`, m."""
+    y = np.linspace(-0.01, 0.01, rows)
+    hit = scene.body.closest(np.column_stack([np.full(rows, x), y, np.zeros(rows)]))
+    np.testing.assert_allclose(hit.normal[:, 2], 1.0)
+    poses = scene.rig.contact_poses(hit.point, hit.normal, np.tile([0.0, 1.0, 0.0], (rows, 1)))
+    twists = body_twists(poses, scene.loop.dt)
+    path = Path(scene.loop.dt, hit.point, hit.normal, poses, twists, hit.face)
+    return path, Track.of(path, scene.body.surface)
+
+
+def test_an_approach_beside_a_wall_goes_to_the_floor(sphere):
+    """The wall is 0.5 mm from the indenter, nearer than the floor where the approach begins."""
+    scene = corner(sphere)
+    path, track = floor_track(scene, 4.5e-3)
+    simulator, _ = prepare(scene, path)
+    explorer = ExplorationStateMachine(simulator, [track, track], SETTINGS)
+    steps = list(explorer.run())
+    assert not simulator.given_up
+    assert explorer.losses == 0
+    outputs = np.concatenate([s.outputs for s in steps])
+    np.testing.assert_allclose(outputs[outputs[:, 6] > 0.0, 5], 1.0, atol=1e-6)
+
+
+def test_a_body_that_cannot_be_lifted_off_goes_back_the_way_it_came(
+    prepared, track, along, monkeypatch
+):
+    simulator, path = prepared("quasi_static")
+    clear, ways = Simulator.is_clear, []
+
+    def held(self, poses, leaving=False):
+        if not leaving:
+            return clear(self, poses)
+        ways.append(poses)
+        return np.abs(poses[0, :3, :3] - path.poses[0, :3, :3]).max() < 1e-2
+
+    monkeypatch.setattr(Simulator, "is_clear", held)
+    explorer = ExplorationStateMachine(simulator, [track[:900], track[1500:1800]], SETTINGS)
+    steps = list(explorer.run())
+    assert not simulator.given_up
+    assert sum(len(s.time) for s in steps if s.phase == state_machine.SLIDE) == 1200
+    assert len([s for s in steps if s.phase == state_machine.LEAVE]) == 2
+    # the way off the contact is tested as finely as the body is moved
+    gaps = np.linalg.norm(np.diff(ways[0][:, :3, 3], axis=0), axis=1)
+    assert gaps.max() < 0.5 * np.pi * transfer.AIR_SPEED * simulator.loop.dt * 1.01
 
 
 def test_parts_that_are_given_up_and_their_taxels_are_said(prepared, sphere):
