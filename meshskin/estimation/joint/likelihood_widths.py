@@ -9,6 +9,7 @@ too, by more than its breadth: the likelihood is followed along its ridge.
 from __future__ import annotations
 
 from collections.abc import Generator
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from .joint_estimator import JointEstimator
 from .rival_optima import (
     OPEN_SECTOR,
     RING,
+    Placed,
     batches,
     finish,
     log_odds_between,
@@ -120,16 +122,18 @@ def _moves(
     across: a standard deviation across the ridge, as wide as `there` or (r, 3), m.
     """
     move, moves = np.zeros(there.shape[:2]), []
+    copies, at = np.tile(rows, len(there)), np.broadcast_to(points, there.shape).reshape(-1, 3)
+    here = Placed(estimator, copies, at, estimator.state.z[copies])
     for _ in range(PARABOLAS):
         cost = []
         for probe in PROBES:
             yield
             place = there + (move + probe)[..., None] * across
-            cost.append(_log_odds(estimator, rows, points, place)[1])
+            cost.append(_log_odds(here, place)[1])
         move = move + _vertex(*cost)
     for place in (there, there + move[..., None] * across):
         yield
-        place, odds = _log_odds(estimator, rows, points, place)
+        place, odds = _log_odds(here, place)
         sigmas = np.sqrt(np.maximum(2 * odds / scale, 1.0))
         moves.append((place - points) / sigmas[..., None])
     return np.concatenate(moves)
@@ -142,17 +146,12 @@ def _vertex(before: Array, at: Array, after: Array) -> Array:
     return np.clip(-PROBE * slope / np.maximum(curvature, 1e-9), -MAX_ACROSS, MAX_ACROSS)
 
 
-def _log_odds(
-    estimator: JointEstimator, rows: np.ndarray, points: Array, there: Array
-) -> tuple[Array, Array]:
+def _log_odds(here: Placed, there: Array) -> tuple[Array, Array]:
     """The points (..., r, 3) of the body closest to `there`, and the log-likelihood (..., r) of the
-    taxels at `points` (r, 3) minus that there."""
-    there = estimator.data.body.closest(there.reshape(-1, 3)).point.reshape(there.shape)
-    copies = np.tile(rows, there[..., 0, 0].size)
-    z = estimator.state.z[copies]
-    here = np.broadcast_to(points, there.shape).reshape(-1, 3)
-    odds = log_odds_between(estimator, copies, (here, z), (there.reshape(-1, 3), z))
-    return there, odds.reshape(there.shape[:-1])
+    taxels `here` minus that there."""
+    points = here.estimator.data.body.closest(there.reshape(-1, 3)).point
+    odds = log_odds_between(here, replace(here, points=points))
+    return points.reshape(there.shape), odds.reshape(there.shape[:-1])
 
 
 def rows_seen_from_one_place(

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar, cast
 
 import numpy as np
@@ -151,7 +152,8 @@ def likeliest_rivals(
     found = yield from optimum_from(estimator, copies, np.concatenate(starts), most)
     valid = np.linalg.norm(found[0] - here, axis=1) > MIN_DISTANCE * reach
     valid &= part_on_sheet(estimator, copies, found[0]) >= MIN_ON_SHEET
-    odds = log_odds_between(estimator, copies, (here, estimator.state.z[copies]), found)
+    present = Placed(estimator, copies, here, estimator.state.z[copies])
+    odds = log_odds_between(present, Placed(estimator, copies, *found))
     odds = np.where(valid, odds, np.inf).reshape(len(starts), -1)
     likeliest, each = odds.argmin(axis=0), np.arange(len(rows))
     return found[0].reshape(len(starts), -1, 3)[likeliest, each], odds[likeliest, each]
@@ -294,41 +296,52 @@ def optimum_from(
     return points, z
 
 
-def log_odds_between(
-    estimator: JointEstimator,
-    rows: np.ndarray,
-    first: tuple[Array, Array],
-    second: tuple[Array, Array],
-) -> Array:
-    """Log-likelihood (r,) of taxels at the points `first` minus that at `second`, of all readings
-    that inform about either; gains and offsets are the best ones there, from those in `first` and
-    `second`. Readings that inform about the other place alone are out of reach, or of a contact
-    that presses another sheet: the taxel is at rest."""
-    places = first, second
-    readings = [readings_of(estimator, rows, points) for points, _ in places]
-    found = []
-    for (points, z), own, other in zip(places, readings, readings[::-1], strict=True):
-        problem = problem_of(estimator, rows, points, own)
-        nuisance = z.copy()
+@dataclass(frozen=True)
+class Placed:
+    """r copies of taxels at some place each."""
+
+    estimator: JointEstimator
+    rows: np.ndarray
+    """The taxels (r,)."""
+    points: Array
+    """(r, 3), m."""
+    z: Array
+    """Unknowns (r, D): gains and offsets are sought from these."""
+
+    @cached_property
+    def readings(self) -> Readings:
+        """The readings that inform about them there."""
+        return readings_of(self.estimator, self.rows, self.points)
+
+    @cached_property
+    def best(self) -> tuple[Array, Array]:
+        """The best gains and offsets (r, .) there, and the costs (r,) of the readings with them."""
+        start, nuisance = self.estimator.state.s, self.z.copy()
+        problem = problem_of(self.estimator, self.rows, self.points, self.readings)
         nuisance[:, :2] = 0.0
         for _ in range(NUISANCE_STEPS if problem.per_taxel else 0):
-            blocks = problem.blocks(problem.start(estimator.state.s, nuisance))
+            blocks = problem.blocks(problem.start(start, nuisance))
             step = np.linalg.solve(blocks.hessian[:, 2:, 2:], blocks.gradient[:, 2:, None])
             nuisance[:, 2:] -= step[:, :, 0]
-        cost = problem.blocks(problem.start(estimator.state.s, nuisance)).cost
-        found.append(cost + _costs_at_rest(estimator, nuisance[:, 2:], own, other))
-    return np.asarray(found[1] - found[0])
+        return nuisance[:, 2:], problem.blocks(problem.start(start, nuisance)).cost
 
 
-def _costs_at_rest(
-    estimator: JointEstimator, nuisance: Array, own: Readings, other: Readings
-) -> Array:
-    """Costs (r,) of the readings of r taxels in `other` that are not in `own`, of taxels at rest,
-    with nuisance parameters (r, .)."""
-    data, contacts = estimator.data, estimator.problem.contacts.at(estimator.state.s)
-    keys = [read.taxel * len(data.points) + read.contact for read in (other, own)]
-    read = other.without(np.isin(*keys))
+def log_odds_between(first: Placed, second: Placed) -> Array:
+    """Log-likelihood (r,) of taxels at their `first` places minus that at the second, of all
+    readings that inform about either; gains and offsets are the best ones there. Readings that
+    inform about the other place alone are out of reach, or of a contact that presses another sheet:
+    the taxel is at rest."""
+    return np.asarray(_cost(second, first) - _cost(first, second))
+
+
+def _cost(at: Placed, other: Placed) -> Array:
+    """Costs (r,) of the readings of taxels `at` a place, and of those that inform about the `other`
+    place alone, as of taxels at rest."""
+    estimator, data, (nuisance, own) = at.estimator, at.estimator.data, at.best
+    contacts = estimator.problem.contacts.at(estimator.state.s)
+    keys = [x.readings.taxel * len(data.points) + x.readings.contact for x in (other, at)]
+    read = other.readings.without(np.isin(*keys))
     away = np.full((len(nuisance), 3), AWAY)
     mu = Likelihood(data, read).means(away, nuisance, contacts)
     cost = read.weight * read.precision * costs(mu, read.level / data.sigma, read.kind)[0]
-    return np.asarray(np.bincount(read.taxel, cost, len(nuisance)), dtype=float)
+    return np.asarray(own + np.bincount(read.taxel, cost, len(nuisance)))

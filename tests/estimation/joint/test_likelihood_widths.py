@@ -37,9 +37,9 @@ def test_a_flat_optimum_is_as_wide_as_its_likelihood(monkeypatch):
     a = 3 * sigma
     k = 1 / (8 * a**2 * sigma**2)
 
-    def odds(estimator, rows, first, second):
-        y = (second[0] - first[0])[:, :2] @ axis
-        return np.where(rows == 0, k * ((a + y) ** 2 - a**2) ** 2, y**2 / (2 * sigma**2))
+    def odds(first, second):
+        y = (second.points - first.points)[:, :2] @ axis
+        return np.where(first.rows == 0, k * ((a + y) ** 2 - a**2) ** 2, y**2 / (2 * sigma**2))
 
     monkeypatch.setattr(likelihood_widths, "log_odds_between", odds)
     monkeypatch.setattr(likelihood_widths, "_contact_centres", nowhere)
@@ -58,9 +58,9 @@ def test_widths_are_found_in_parts_of_six_places_a_taxel(monkeypatch):
     """An online calibration does one part a frame."""
     evaluated = []
 
-    def odds(estimator, rows, first, second):
-        evaluated[-1] += len(rows)
-        return np.sum((second[0] - first[0]) ** 2, axis=1) / (2 * 0.1e-3**2)
+    def odds(first, second):
+        evaluated[-1] += len(first.rows)
+        return np.sum((second.points - first.points) ** 2, axis=1) / (2 * 0.1e-3**2)
 
     monkeypatch.setattr(likelihood_widths, "log_odds_between", odds)
     covariance, rows = np.tile(0.1e-3**2 * np.eye(2), (3, 1, 1)), np.arange(3)
@@ -78,8 +78,8 @@ def test_a_flat_optimum_that_bends_is_as_wide_as_along_its_ridge(bend, monkeypat
     """
     sigma, breadth, less = 0.05e-3, 0.005e-3, 2.0
 
-    def odds(estimator, rows, first, second):
-        x, y = (second[0] - first[0])[:, :2].T / [[sigma], [breadth]]
+    def odds(first, second):
+        x, y = (second.points - first.points)[:, :2].T / [[sigma], [breadth]]
         along = x**2 * (1 - x / 6) ** 2 / 2 + less * np.clip(x / 6, 0, None) ** 2
         return along + (y - bend * (x / 6) ** 2) ** 2 / 2
 
@@ -100,8 +100,8 @@ def test_a_taxel_seen_from_one_place_is_as_wide_as_the_arc(around, monkeypatch):
     radius, sigma, along = 3e-3, 0.02e-3, 1.5e-3
     centre = np.array([0.0, -radius, 0.0])
 
-    def odds(estimator, rows, first, second):
-        off = second[0] - centre
+    def odds(first, second):
+        off = second.points - centre
         angle = np.arctan2(off[:, 0], off[:, 1])
         distance = np.linalg.norm(off, axis=1)
         return ((distance - radius) / sigma) ** 2 / 2 + (radius * angle / along) ** 2 / 2
