@@ -120,7 +120,7 @@ class LearnedResponse(Value):
     one after another."""
     creep: tuple[float, float] = (0.0, 0.0)
     """Share of a held reading that follows the pressure, and its time constant, s
-    (joint/creep.py); zeros where the readings show none."""
+    (joint/electronics.py); zeros where the readings show none."""
     gain_drift: float = 0.0
     """Largest change of the gain of all taxels during the recording, relative."""
     offset_drift: float = 0.0

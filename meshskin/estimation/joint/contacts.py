@@ -111,7 +111,10 @@ class LinearizedContacts:
         # with compression, too, the errors are those of a reading at the typical level
         compression = self.parameters.value("compression", contacts.s)
         amplified = 1 + self.recorded.response_levels[1] * compression
-        slopes = tuple(amplified * slope for slope in self._load_slopes(s, contacts.group))
+        # learned exponents are those of the measured forces, which errors of these make smaller
+        derivatives = self._patches(self.data, self._clipped(s), contacts.group)[1]
+        by_model = (np.ravel(x) for x in (*derivatives.shape, derivatives.peak))
+        slopes = tuple(amplified * np.broadcast_to(slope, len(load)) for slope in by_model)
         if "exponents" in self.parameters.names:
             levels = self.recorded.response_levels
             contacts, slopes = with_own_size(contacts, self.parameters, levels, slopes, load)
@@ -122,13 +125,6 @@ class LinearizedContacts:
             peak=contacts.patches.peak * np.exp(slopes[-1] * load),
         )
         return replace(contacts, points=moved, patches=patches, by_load=slopes, load_errors=load)
-
-    def _load_slopes(self, s: Array, group: int) -> tuple[Array, ...]:
-        """Derivatives (m,) in ln F of the entries of `shape`, and of ln p_0, of the model: learned
-        exponents are those of the measured forces, which errors of these make smaller."""
-        derivatives, m = self._patches(self.data, self._clipped(s), group)[1], len(self.data.force)
-        slopes = (np.ravel(x) for x in (*derivatives.shape, derivatives.peak))
-        return tuple(np.broadcast_to(slope, m) for slope in slopes)
 
     def check(self, s: Array) -> None:
         """Raise ContactError where the contacts at s (ks,) are outside the model's range."""

@@ -112,7 +112,7 @@ class CoupledSystem:
         _, _, y, rest = self._eliminated(taxels, contacts, shared)
         x = np.linalg.solve(self._schur, rest)
         y = y - self._by_taxel @ x
-        back = contacts - self._to_contacts(y) - self.contact_shared @ x
+        back = contacts - self.pattern.to_contacts(self.taxel_contact, y) - self.contact_shared @ x
         return y, self._inverse_contacts @ back, np.asarray(x)
 
     def newton_step(self) -> tuple[CoupledSystem, Parts, float]:
@@ -137,7 +137,7 @@ class CoupledSystem:
         pressed, right, y, rest = self._eliminated(taxels, contacts, shared)
         by_taxel, by_contact, by_shared = self.gradient
         moved = self._inverse_contacts @ by_contact[..., None]
-        left = by_taxel[..., None] - self._to_taxels(moved)
+        left = by_taxel[..., None] - self.pattern.to_taxels(self.taxel_contact, moved)
         least = by_shared[:, None] - inner(self.contact_shared, moved) - inner(self._by_taxel, left)
         ahead = np.linalg.solve(self._schur, rest)
         square = inner(contacts, pressed) + inner(right, y) + rest.T @ ahead
@@ -151,7 +151,7 @@ class CoupledSystem:
         right-hand side of the taxels and its solution, right-hand side of the global parameters."""
         coupling = self._coupling[0]
         pressed = self._inverse_contacts @ contacts
-        right = taxels - self._to_taxels(pressed)
+        right = taxels - self.pattern.to_taxels(self.taxel_contact, pressed)
         if "_by_taxel" in self.__dict__:
             by_taxel, y = self._by_taxel, self._solve_taxels(right)
         else:  # one factorization serves both
@@ -169,7 +169,10 @@ class CoupledSystem:
     def following(self, shared: Array) -> Parts:
         """How taxels (n, D) and contacts (m, 3) follow a change (ks,) of the global parameters."""
         taxels = -self._by_taxel @ shared
-        direct = self.contact_shared @ shared + self._to_contacts(taxels[..., None])[..., 0]
+        direct = (
+            self.contact_shared @ shared
+            + self.pattern.to_contacts(self.taxel_contact, taxels[..., None])[..., 0]
+        )
         return taxels, -np.einsum("mij,mj->mi", self._inverse_contacts, direct), shared
 
     @cached_property
@@ -180,7 +183,7 @@ class CoupledSystem:
         for part in np.array_split(np.arange(len(shared)), -(-len(shared) // COLUMNS)):
             by_contact = self._inverse_contacts @ self.contact_shared[:, :, part]
             shared[:, part] -= inner(self.contact_shared, by_contact)
-            coupling[:, :, part] -= self._to_taxels(by_contact)
+            coupling[:, :, part] -= self.pattern.to_taxels(self.taxel_contact, by_contact)
         return coupling, shared
 
     @cached_property
@@ -212,14 +215,6 @@ class CoupledSystem:
     def shared_covariance(self) -> Array:
         """Covariance of the global parameters (ks, ks)."""
         return np.asarray(np.linalg.inv(self._schur))
-
-    def _to_taxels(self, values: Array) -> Array:
-        """B v (n, D, c) of values (m, 3, c) of the contacts."""
-        return self.pattern.to_taxels(self.taxel_contact, values)
-
-    def _to_contacts(self, values: Array) -> Array:
-        """B^T v (m, 3, c) of values (n, D, c) of the taxels."""
-        return self.pattern.to_contacts(self.taxel_contact, values)
 
 
 def inner(a: Array, b: Array) -> Array:

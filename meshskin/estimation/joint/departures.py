@@ -294,13 +294,6 @@ def normal_score(square: float, count: int) -> float:
     return float(((square / count) ** (1 / 3) - 1 + spread) / spread**0.5)
 
 
-def departure_scores(estimator: JointEstimator, fitted: FittedReadings | None) -> dict[str, float]:
-    """Score of each departure from the contact model, in standard deviations; without fitted
-    readings, as with rigid modules, only that of errors of the contacts."""
-    scores = {} if fitted is None else {n: score for n, (score, _) in fitted.scores().items()}
-    return {CONTACT_ERRORS: contact_score(estimator), **scores}
-
-
 def fitted_readings(estimator: JointEstimator, weight: Array) -> FittedReadings:
     """The readings with weights (k,) at the estimate of independent taxels; those of taxels that
     have not converged, whose score is not zero without a departure, either, have no weight."""
@@ -308,7 +301,7 @@ def fitted_readings(estimator: JointEstimator, weight: Array) -> FittedReadings:
     data, taxel = estimator.data, readings.taxel
     assert isinstance(problem.parametrization, SurfaceParametrization)
     points = problem.points(state)
-    nuisance = problem.nuisance(state.z, np.arange(len(points)))
+    nuisance = problem.nuisance(state.z)
     mu, jacobian = estimator.likelihood.predict(
         readings.contact, points[taxel], nuisance[taxel], problem.contacts.at(state.s),
         estimator.likelihood.groups(taxel),
@@ -343,7 +336,7 @@ def contact_score(estimator: JointEstimator) -> float:
     problem, state, m = estimator.problem, estimator.state, len(estimator.data.points)
     contacts = problem.contacts.with_errors(state.s, np.zeros((m, 3)))
     readings = estimator.likelihood.readings
-    nuisance = problem.nuisance(state.z, np.arange(problem.parametrization.count))
+    nuisance = problem.nuisance(state.z)
     jacobian = estimator.likelihood.derivatives(problem.points(state), nuisance, contacts)[-3:]
     used = (readings.kind == OBSERVED) & (readings.weight > 0.5)
     owner, found = readings.contact[used], []

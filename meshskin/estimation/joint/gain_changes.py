@@ -1,5 +1,5 @@
 """Taxels whose gain changes in the course of a recording: at once, as of a contact that comes
-loose, or by drifts that differ from taxel to taxel.
+loose.
 
 One such taxel is displaced by its readings before and after: errors of the contacts, and costs that
 grow linearly, hide what does not fit; where outlying readings are left out, those that remain may
@@ -15,9 +15,7 @@ import numpy as np
 
 from ...core.arrays import Array, sums_by_group
 from .departures import FittedReadings
-from .held_lags import of_single_taxels, of_their_own
 from .pressure import OBSERVED
-from .small_effects import SmallEffects
 
 GAIN_CHANGES = "its gain changes in the course of the recording"
 """Reason of a taxel that is not determined because its gain changes."""
@@ -32,29 +30,6 @@ to 1.7 without changes; where the response misfits it is as much larger for all 
 LEAST_SHARE = 0.5
 """Part of a taxel's squared residuals beyond the noise that a step of its gain explains if it is
 what they show: accidents, which no step explains, leave more."""
-OWN_DRIFTS = "gains that drift in each taxel by another part"
-SPREADS = np.geomspace(0.03, 1.0, 8)
-"""Standard deviations of the taxels' own drifts that are tried, relative to the common one. With
-them 0.84 and 1.12 of the error is stated in the world warming_apart of studies/foreign_worlds.py at
-61 taxels, 0.48 without (seeds 0 and 2), and 1.07 to 1.20 in the world warming, where all drift
-alike, as without (seeds 0 to 2)."""
-
-
-def own_drifts(fitted: FittedReadings, drift: Array) -> SmallEffects:
-    """What gains displace the taxels by that drift in each by another part of the common `drift`
-    (m,) of their logarithms, as sensitivities to temperature differ.
-
-    Where contacts proceed across a taxel while its gain drifts, hardly anything shows it. The size
-    of these parts therefore has a log-uniform prior, as that of lags (held_lags.py).
-    """
-    level = np.maximum(fitted.mu - fitted.offset, 0.0)
-    column, alone = level * drift[fitted.readings.contact], of_single_taxels(fitted)
-    trials = zip(*of_their_own(alone, column, SPREADS**2), strict=True)
-    gain, mean, square = (np.array(part) for part in trials)
-    weight = np.exp(gain - gain.max()) / np.sum(np.exp(gain - gain.max()))
-    moved, mean = alone.displaced(column[:, None])[:, :, 0], weight @ mean
-    within = (weight @ square - mean**2)[:, None, None] * moved[:, :, None] * moved[:, None]
-    return SmallEffects(0.0, mean[:, None] * moved, within)
 
 
 def gain_changes(fitted: FittedReadings) -> np.ndarray:

@@ -22,7 +22,7 @@ from .parametrization import Parametrization, SurfaceParametrization
 from .pressure import OBSERVED
 from .readings import select
 from .reduced_nlp import NEWTON_TOLERANCE, minimize
-from .variable_projection import MAX_STEPS, ReducedProblem, SchurComplement, State
+from .variable_projection import MAX_STEPS, ReducedProblem, State
 
 MAX_RELINEARIZATIONS = 8
 """Largest number of linearizations; two are usual."""
@@ -255,10 +255,6 @@ class JointEstimator:
                 problem, self.state, self.iterations, self.record, self.tolerance
             )
             reduced = problem.reduce(self.state)
-        self._check_converged(reduced, status)
-        return status
-
-    def _check_converged(self, reduced: SchurComplement, status: str) -> None:
         least = max(MAX_DECREMENT, 1e-9 * len(self.data.pressure)) * self.slack
         limit = max(least, 100 * self.tolerance)
         if not reduced.decrement < limit:
@@ -271,6 +267,7 @@ class JointEstimator:
                 "same times, the contact model and the noise"
                 + (more if status == "Maximum_Iterations_Exceeded" else ""),
             )
+        return status
 
     def record(self, state: State) -> None:
         """Keep the points of an intermediate state."""
@@ -333,8 +330,8 @@ class JointEstimator:
             known, z, s, r = self._last
             if known is problem and np.array_equal(z, state.z) and np.array_equal(s, state.s):
                 return r
-        nuisance = problem.nuisance(state.z, np.arange(problem.parametrization.count))
-        mu = self.likelihood.means(problem.points(state), nuisance, problem.contacts.at(state.s))
+        nuisance, contacts = problem.nuisance(state.z), problem.contacts.at(state.s)
+        mu = self.likelihood.means(problem.points(state), nuisance, contacts)
         r = fault_detection.residuals(self.likelihood.readings, mu, self.data.sigma)
         self._last = problem, state.z.copy(), state.s.copy(), r
         return r

@@ -232,7 +232,7 @@ class DisplacedResiduals:
         problem, state, readings = estimator.problem, estimator.state, estimator.likelihood.readings
         self.taxel, self.contact = readings.taxel[rows], readings.contact[rows]
         self.points = problem.points(state)[self.taxel]
-        self.nuisance = problem.nuisance(state.z, np.arange(len(readings.starts) - 1))[self.taxel]
+        self.nuisance = problem.nuisance(state.z)[self.taxel]
         self.contacts, self.likelihood = problem.contacts.at(state.s), estimator.likelihood
         self.level, self.sign = readings.level[rows] / estimator.data.sigma, sign
         self.root = np.sqrt(readings.precision[rows])

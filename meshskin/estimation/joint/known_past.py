@@ -14,8 +14,7 @@ import numpy as np
 from ...core.arrays import Array
 from ..data.measurements import Measurements
 from .contacts import LinearizedContacts
-from .creep import TIME, frames, lacking
-from .electronics import PAUSE, WIDTH, Electronics
+from .electronics import PAUSE, TIME, WIDTH, Electronics, frames, lacking
 from .likelihood import Likelihood
 from .readings import select
 
@@ -82,7 +81,7 @@ class History:
         frame: Array,
     ) -> None:  # fmt: skip
         """state, crept (k,): in units of the noise; since (k,), s, when they were taken; released
-        (k,) bool: since then; frame (k,): as of creep.frames."""
+        (k,) bool: since then; frame (k,): as of electronics.frames."""
         self.columns, self.peak = data.parameters.columns, data.nominal_peak / data.sigma
         self.state, self.released, self.crept = state, released, crept
         self.since, self.frame, self.source = since, frame, np.arange(len(state))

@@ -168,7 +168,10 @@ class _Shares:
     def of(cls, fitted: FittedReadings, share: float) -> _Shares:
         """Those of readings with a crosstalk of `share`."""
         key, at, matrix, slope = _normal_equations(fitted)
-        size, kept, n = len(fitted.own), _other_parameters(fitted), len(matrix)
+        size, n, kept = len(fitted.own), len(matrix), np.zeros(1, dtype=int)
+        if fitted.system is not None:  # the global parameters but for the common share itself
+            p = fitted.data.parameters
+            kept = np.delete(np.arange(len(p.sigma)), p.columns.get("crosstalk", slice(0, 0)))
         width = int(at[1].max(initial=-1)) + 1
         by_own = np.linalg.solve(matrix[:, :size, :size], matrix[:, :size])
         right = slope - np.einsum("nij,ni->nj", by_own, slope[:, :size])
@@ -254,15 +257,6 @@ def _inverse_root(matrix: Array) -> Array:
     value, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     size = (value > RIDGE) / np.sqrt(np.maximum(value, RIDGE))
     return np.asarray(vectors / scale[:, None] * size)
-
-
-def _other_parameters(fitted: FittedReadings) -> np.ndarray:
-    """Columns of the global parameters but for the common share itself."""
-    if fitted.system is None:
-        return np.zeros(1, dtype=int)
-    parameters = fitted.data.parameters
-    columns = np.arange(len(parameters.sigma))
-    return np.delete(columns, parameters.columns.get("crosstalk", slice(0, 0)))
 
 
 def _normal_equations(

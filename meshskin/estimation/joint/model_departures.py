@@ -10,16 +10,20 @@ from ...core.arrays import Array
 from ..result import ALIKE_CONTACTS, SHARED_ERRORS, EstimatorResult
 from ..uncertainty.goodness_of_fit import GoodnessOfFit
 from . import fault_detection, gain_changes, rejected_readings
-from .contact_fields import ContactFields, contact_fields
-from .departures import FittedReadings, departure_scores, fitted_readings
-from .held_lags import HELD_LAGS, NAMED, held_lags
+from .departures import CONTACT_ERRORS, FittedReadings, contact_score, fitted_readings
 from .joint_estimator import JointEstimator
 from .jump import Jump, jump_by_outliers, jump_of
 from .leaks import crosstalk_score
 from .parametrization import SurfaceParametrization
-from .residual_correlations import SharedErrors, larger, shared_errors
-from .second_fits import SecondFits, second_fits
-from .shifted_patches import SHIFTED, shifted_patches
+from .rejected_readings import SecondFits, second_fits
+from .residual_correlations import (
+    ContactFields,
+    SharedErrors,
+    contact_fields,
+    larger,
+    shared_errors,
+)  # fmt: skip
+from .small_effects import HELD_LAGS, NAMED, SHIFTED, held_lags, shifted_patches
 
 
 @dataclass(frozen=True)
@@ -86,9 +90,10 @@ class ModelDepartures:
         return np.asarray(np.einsum("sni,snj->nij", both, both) + second)
 
     def scores(self, estimator: JointEstimator) -> dict[str, float]:
-        """The score of each, by its name."""
-        found = departure_scores(estimator, self.fitted)
+        """The score of each, in standard deviations, by its name."""
+        found = {CONTACT_ERRORS: contact_score(estimator)}
         if self.fitted is not None:
+            found |= {name: score for name, (score, _) in self.fitted.scores().items()}
             found["crosstalk"] = crosstalk_score(self.fitted, found["crosstalk"])
         for part in (self.errors, self.fields, self.jump, self.second):
             found |= part.departure if part else {}

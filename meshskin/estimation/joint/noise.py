@@ -176,26 +176,21 @@ def estimate_noise(estimator: JointEstimator, reduced: SchurComplement) -> Noise
     """
     data, readings, r = estimator.data, estimator.likelihood.readings, estimator.residuals()
     mu, least = predictions(readings, r, data), least_scale(data)
+    variances = partial(estimator.problem.difference_variances, estimator.state, reduced)
+
+    def scatter(used: np.ndarray) -> Noise:
+        return neighbour_scatter(readings, data.points, r, np.flatnonzero(used), variances)
+
     sound = (readings.kind == OBSERVED) & ~outliers(readings) & even(readings)
-    noise = _scatter(estimator, reduced, r, sound)
+    noise = scatter(sound)
     for _ in range(MAX_ITERATIONS):
-        clear = sound & clear_of_limits(mu, data, max(noise.scale, least))
-        found = _scatter(estimator, reduced, r, clear)
+        found = scatter(sound & clear_of_limits(mu, data, max(noise.scale, least)))
         if found.pairs < MIN_PAIRS:
             break
         change, noise = abs(found.scale - noise.scale), found
         if change < TOLERANCE * noise.scale:
             break
     return Noise(max(noise.scale, least), noise.pairs)
-
-
-def _scatter(
-    estimator: JointEstimator, reduced: SchurComplement, r: Array, used: np.ndarray
-) -> Noise:
-    """The noise by the residuals r (k,) of the readings `used` (k,) bool."""
-    variances = partial(estimator.problem.difference_variances, estimator.state, reduced)
-    readings, points = estimator.likelihood.readings, estimator.data.points
-    return neighbour_scatter(readings, points, r, np.flatnonzero(used), variances)
 
 
 def neighbour_scatter(

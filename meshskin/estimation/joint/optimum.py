@@ -86,69 +86,64 @@ class Optimum:
 
     def result(self) -> EstimatorResult:
         """The statistics for all taxels."""
-        return _result(self)
+        estimator, rivals, restarted = self.estimator, self.rivals, self.restarted
+        data, problem, state = estimator.data, estimator.problem, estimator.state
+        parameters, parametrization = data.parameters, problem.parametrization
+        (scale, fit), found = self.scale_and_fit, self.found
 
+        def spread(values: Array, missing: object) -> Array:
+            return spread_rows(values, estimator.live, len(data.ids), missing)
 
-def _result(optimum: Optimum) -> EstimatorResult:
-    """The result for all taxels."""
-    estimator, rivals, restarted = optimum.estimator, optimum.rivals, optimum.restarted
-    data, problem, state = estimator.data, estimator.problem, estimator.state
-    parameters, parametrization = data.parameters, problem.parametrization
-    (scale, fit), found = optimum.scale_and_fit, optimum.found
+        def dropped(covariance: Array) -> Array:
+            infinite = np.diag([np.inf] * covariance.shape[1])
+            return spread(np.where(lost[:, None, None], infinite, covariance), infinite)
 
-    def spread(values: Array, missing: object) -> Array:
-        return spread_rows(values, estimator.live, len(data.ids), missing)
-
-    def dropped(covariance: Array) -> Array:
-        infinite = np.diag([np.inf] * covariance.shape[1])
-        return spread(np.where(lost[:, None, None], infinite, covariance), infinite)
-
-    covariance, shared = (scale * part for part in problem.covariances(state, optimum.reduced))
-    lost, reasons = estimator.unconverged | estimator.broken, optimum.reasons.copy()
-    named = np.where(estimator.broken, MOSTLY_OUTLIERS, "")
-    reasons[estimator.live] = np.where(estimator.unconverged, UNCONVERGED, named)
-    unit = 1.0 if data.noise is not None and not data.noise_pairs else scale
-    information, gains = problem.information(state)
-    six: Array | None = None
-    if isinstance(parametrization, ModuleParametrization):
-        six = parametrization.covariances(covariance[:, :6, :6])
-        tangential, factors = six[:, :2, :2], [MODULES, MODULE_SURFACE]
-    else:
-        wide = widened(estimator, covariance[:, :2, :2], scale)
-        tangential, factors = _tangential(estimator, wide, fit, found, rivals)
-        tangential = tangential + found.rejected(estimator, scale**0.5)
-    modulus, modulus_sigma = _modulus(estimator, shared)
-    return EstimatorResult(
-        points=spread(np.where(lost[:, None], np.nan, parametrization.points()), np.nan),
-        rotations=spread(parametrization.rotations(), np.nan),
-        covariance=dropped(tangential),
-        pose_covariances=None if six is None else dropped(six),
-        chi2=spread(estimator.chi2 / unit, np.nan),
-        reasons=reasons,
-        factors=(
-            *_factors(data, fit),
-            *factors,
-            *((UNDECLARED_GAINS,) if optimum.undeclared_gains else ()),
-            *parameters.describe_priors(),
-            *(() if modulus_sigma is None else (RADIUS.format(RADIUS_TOLERANCE),)),
-        ),
-        modulus=modulus,
-        modulus_sigma=modulus_sigma,
-        unknowns=parameters.named(state.s, shared),
-        undetermined=(
-            *undetermined(parameters, information / unit, gains),
-            *undetermined_motion(parameters, shared),
-        ),
-        taxel_unknowns=_taxel_unknowns(estimator, covariance),
-        faults=estimator.faults,
-        rivals=spread(rivals.points, np.nan),
-        fit=fit,
-        departures=optimum.departures,
-        jump=found.jump.shown,
-        iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
-        restarted=estimator.live[restarted],
-        seconds=estimator.seconds,
-    )
+        covariance, shared = (scale * part for part in problem.covariances(state, self.reduced))
+        lost, reasons = estimator.unconverged | estimator.broken, self.reasons.copy()
+        named = np.where(estimator.broken, MOSTLY_OUTLIERS, "")
+        reasons[estimator.live] = np.where(estimator.unconverged, UNCONVERGED, named)
+        unit = 1.0 if data.noise is not None and not data.noise_pairs else scale
+        information, gains = problem.information(state)
+        six: Array | None = None
+        if isinstance(parametrization, ModuleParametrization):
+            six = parametrization.covariances(covariance[:, :6, :6])
+            tangential, factors = six[:, :2, :2], [MODULES, MODULE_SURFACE]
+        else:
+            wide = widened(estimator, covariance[:, :2, :2], scale)
+            tangential, factors = _tangential(estimator, wide, fit, found, rivals)
+            tangential = tangential + found.rejected(estimator, scale**0.5)
+        modulus, modulus_sigma = _modulus(estimator, shared)
+        return EstimatorResult(
+            points=spread(np.where(lost[:, None], np.nan, parametrization.points()), np.nan),
+            rotations=spread(parametrization.rotations(), np.nan),
+            covariance=dropped(tangential),
+            pose_covariances=None if six is None else dropped(six),
+            chi2=spread(estimator.chi2 / unit, np.nan),
+            reasons=reasons,
+            factors=(
+                *_factors(data, fit),
+                *factors,
+                *((UNDECLARED_GAINS,) if self.undeclared_gains else ()),
+                *parameters.describe_priors(),
+                *(() if modulus_sigma is None else (RADIUS.format(RADIUS_TOLERANCE),)),
+            ),
+            modulus=modulus,
+            modulus_sigma=modulus_sigma,
+            unknowns=parameters.named(state.s, shared),
+            undetermined=(
+                *undetermined(parameters, information / unit, gains),
+                *undetermined_motion(parameters, shared),
+            ),
+            taxel_unknowns=_taxel_unknowns(estimator, covariance),
+            faults=estimator.faults,
+            rivals=spread(rivals.points, np.nan),
+            fit=fit,
+            departures=self.departures,
+            jump=found.jump.shown,
+            iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
+            restarted=estimator.live[restarted],
+            seconds=estimator.seconds,
+        )
 
 
 def _tangential(

@@ -154,7 +154,7 @@ def try_gain_offset(estimator: JointEstimator, suspects: np.ndarray) -> JointEst
         return estimator
     if not _only_noise(trial):
         return estimator
-    gains, responding = _nuisance(trial)[:, 0], _responding(trial)
+    gains, responding = trial.problem.nuisance(trial.state.z)[:, 0], _responding(trial)
     for k in np.flatnonzero(_implausible(trial)):
         words = (
             f"gain of {np.exp(gains[k]):.2g}" if responding[k] else "silent in all that press it"
@@ -172,16 +172,10 @@ def _only_noise(estimator: JointEstimator) -> bool:
     return faults.reading_scale(readings, residuals) <= faults.MAX_SCALE * noise
 
 
-def _nuisance(estimator: JointEstimator) -> Array:
-    """Nuisance parameters (n, .) of all taxels."""
-    problem = estimator.problem
-    return problem.nuisance(estimator.state.z, np.arange(problem.parametrization.count))
-
-
 def _implausible(estimator: JointEstimator) -> np.ndarray:
     """Taxels (n,) bool that never respond, or whose gain or offset is far from its prior."""
     limit = MAX_PRIOR_SIGMAS * np.array(estimator.likelihood.nuisance_sigma)
-    far = (np.abs(_nuisance(estimator)) > limit).any(axis=1)
+    far = (np.abs(estimator.problem.nuisance(estimator.state.z)) > limit).any(axis=1)
     return np.asarray(far | ~_responding(estimator))
 
 

@@ -244,11 +244,8 @@ class ReducedProblem:
     def leverages(self, state: State, reduced: SchurComplement) -> Array:
         """The leverage (k,) of each reading on its own prediction: the variance of its residual is
         1 less this, in units of the noise."""
-        nuisance = self.nuisance(state.z, np.arange(self.parametrization.count))
-        full = self._taxel_covariances(state, reduced)
-        return self.likelihood.leverages(
-            self.points(state), nuisance, self.contacts.at(state.s), full
-        )
+        full, contacts = self._taxel_covariances(state, reduced), self.contacts.at(state.s)
+        return self.likelihood.leverages(self.points(state), self.nuisance(state.z), contacts, full)
 
     def difference_variances(
         self, state: State, reduced: SchurComplement, first: np.ndarray, second: np.ndarray
@@ -257,7 +254,7 @@ class ReducedProblem:
         each pair of one taxel, in units of the noise's: 2 less what the estimate follows of them.
         """
         read, points = self.likelihood.readings, self.points(state)
-        nuisance = self.nuisance(state.z, np.arange(self.parametrization.count))
+        nuisance = self.nuisance(state.z)
         own, contacts = read.taxel[first], self.contacts.at(state.s)
         group = self.likelihood.groups(own)
         one, other = (
@@ -271,11 +268,8 @@ class ReducedProblem:
 
     def _taxel_covariances(self, state: State, reduced: SchurComplement) -> Array:
         """Covariances (n, C, C) of each taxel's position, nuisance and global parameters."""
-        blocks, groups, local = (
-            self.blocks(state),
-            np.arange(self.parametrization.count),
-            3 + self.per_taxel,
-        )
+        blocks, groups = self.blocks(state), np.arange(self.parametrization.count)
+        local = 3 + self.per_taxel
         inverse, shared = np.linalg.inv(blocks.hessian), np.linalg.inv(reduced.hessian)
         response = -inverse @ blocks.coupling
         jacobian, own = self._jacobian(state.z, groups), self.parametrization.group
@@ -293,15 +287,14 @@ class ReducedProblem:
         group, size = self.parametrization.group, self.parametrization.size
         return self.parametrization.at(state.z[group, :size], group, np.arange(len(group)))[0]
 
-    def nuisance(self, z: Array, groups: np.ndarray) -> Array:
-        """Nuisance parameters (r, .) of the taxels of `groups` with unknowns z (g, D)."""
-        rows, owner = self._taxels(groups)
-        columns = (
-            self.parametrization.size
-            + self.per_taxel * self.slot[rows, None]
-            + np.arange(self.per_taxel)
+    def nuisance(self, z: Array, groups: np.ndarray | None = None) -> Array:
+        """Nuisance parameters (r, .) of the taxels of `groups`, by default all, with unknowns z
+        (g, D)."""
+        rows, owner = self._taxels(
+            np.arange(self.parametrization.count) if groups is None else groups
         )
-        return np.asarray(z[owner[:, None], columns])
+        first = self.parametrization.size + self.per_taxel * self.slot[rows, None]
+        return np.asarray(z[owner[:, None], first + np.arange(self.per_taxel)])
 
     def _taxels(self, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Taxels (r,) of the groups, and the index in `groups` of each."""

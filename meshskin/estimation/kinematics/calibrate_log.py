@@ -34,8 +34,7 @@ from ..calibration import Calibration
 from ..data.patch_shape import fitting, over_patches
 from ..learned.start import Former
 from ..uncalibrated import unconverged
-from .clock import first_offset, timed_by_the_fastest
-from .corrected import corrected, with_clock
+from .clock import first_offset, timed_by_the_fastest, with_clock
 from .heights import Heights, closest_at_scale, depths
 from .joint_residuals import joint_residuals
 from .log_calibration import AT_REST, LogCalibration
@@ -172,7 +171,10 @@ def _last_round(
             last = _estimated(used, heights, x, clock, known, progress, former)
             x, shift, moved, rounds = last.x, last.shift, last.moved, rounds + 1
             former, found, before = last.former if moved < APART else None, last.found, clock
-            if noise is None and not _exceeds(found, belief.noise_sigma):
+            # contacts scatter with the noise of the joint angles, and the readings with them
+            stated = belief.noise_sigma
+            exceeds = stated is None or (found.fit is not None and found.fit.noise > stated)
+            if noise is None and not exceeds:
                 noise, moved, rounds = belief.noise_sigma, np.inf, rounds - 1
             late = _clock_error(found, log, shift)
             if late and rounds < MAX_ROUNDS:
@@ -239,7 +241,26 @@ def _estimation(
     off = scale * hit.point + heights.residuals(x)[0][:, None] * hit.normal
     frames, force = np.arange(len(log.time)), _forces(log, belief)
     recording = recording_of(log, frames, off, hit.normal, force, belief.readings)
-    return Estimation(recording, corrected(belief, kinematics, s, motion), former=former)
+    return Estimation(recording, _corrected(belief, kinematics, s, motion), former=former)
+
+
+def _corrected(
+    belief: Belief, kinematics: ContactKinematics, s: Array, motion: ContactMotion
+) -> Belief:
+    """The belief with the body's scale and the indenter's radius of s (K,), and its motion."""
+    scale = float(np.exp(kinematics.value("mesh_scale", s)))
+    body = belief.body
+    if scale != 1.0:  # about the origin of its frame
+        mesh = body.mesh.copy()
+        mesh.apply_scale(scale)
+        body = replace(body, mesh=mesh, exact=None, robot_mesh=None)
+    radius = belief.indenter.radius + kinematics.value("indenter_radius", s)
+    return replace(
+        belief,
+        body=body,
+        indenter=replace(belief.indenter, radius=radius),
+        contact_motion=motion,
+    )
 
 
 def _clock_error(found: Calibration, log: SkinLog, shift: float) -> float:
@@ -248,12 +269,6 @@ def _clock_error(found: Calibration, log: SkinLog, shift: float) -> float:
     late, sigma = found.unknowns.get("clock_offset", (0.0, 0.0))
     changed = shift > APART if log.force is None else abs(late) > TIMED
     return late if changed and abs(late) > sigma else 0.0
-
-
-def _exceeds(found: Calibration, noise: float | None) -> bool:
-    """Whether readings of neighbouring contacts differ by more than the believed noise, Pa, or none
-    is believed: contacts scatter with the noise of the joint angles, and the readings with them."""
-    return noise is None or (found.fit is not None and found.fit.noise > noise)
 
 
 def _started(

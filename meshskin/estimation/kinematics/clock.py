@@ -16,6 +16,7 @@ from ...core.arrays import Array, spreads_by_group
 from ...geometry.body import Body
 from ...recording.clock_offset import peak
 from ...robot.contact_kinematics import JOINT_DELAY, JOINT_OFFSET, ContactKinematics, JointPath
+from ..calibration import Calibration
 from ..data.delay import CHANCE, MIN_USED, comparison
 
 LARGEST = 6.0
@@ -123,3 +124,18 @@ def timed_by_the_fastest(
 def _offsets(largest: float) -> Array:
     """Offsets, s, from -largest to largest that are tried."""
     return np.asarray(STEP * np.arange(-round(largest / STEP), round(largest / STEP) + 1))
+
+
+def with_clock(found: Calibration, clock: float) -> Calibration:
+    """The calibration with the offset of the clocks, s, that its contacts were moved by before: the
+    table of its belief is about that offset, too."""
+    if not clock:
+        return found
+    name, belief = "clock_offset", found.belief
+    assert belief is not None
+    assert belief.contact_motion is not None
+    value, sigma = found.unknowns[name]
+    motion = belief.contact_motion
+    mean = motion.mean + clock * (np.array(motion.labels) == name)
+    belief = replace(belief, contact_motion=replace(motion, mean=mean))
+    return replace(found, belief=belief, unknowns={**found.unknowns, name: (value + clock, sigma)})

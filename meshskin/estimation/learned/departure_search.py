@@ -24,9 +24,9 @@ from ..joint.parametrization import Unknowns
 from ..joint.pressure import OBSERVED
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from .deviations import Deviations
-from .first_response import with_first_response
 from .random_effects import RandomEffects
 from .response_groups import response_groups
+from .start import with_first_response
 
 MAX_ROUNDS, SAME = 12, 0.05
 """Largest number of choices of the neighbours that crosstalk: places follow, and the choice them;
@@ -71,7 +71,9 @@ def first_estimate(effects: RandomEffects) -> RandomEffects:
     """
     begin = effects.unknowns, effects.deviations
     effects = with_first_response(effects)
-    if not effects.converge() or _may_hide_forces(effects):
+    converged = effects.converge()
+    noise = effects.deviations.noise * effects.data.sigma / effects.data.nominal_peak
+    if not converged or (np.ptp(effects.data.force) == 0 and noise > NOISY):
         effects = _likelier_with_wider_forces(effects, *begin)
     return effects
 
@@ -175,12 +177,6 @@ def _leaking(effects: RandomEffects, leaks: Leaks | None) -> RandomEffects:
     u, d, (readings, pattern) = effects.unknowns, effects.deviations, effects.selected
     data = replace(effects.data, leaks=leaks)
     return RandomEffects(data, readings, u, d, pattern, effects.stage)
-
-
-def _may_hide_forces(effects: RandomEffects) -> bool:
-    """Whether the noise may be that of forces which are recorded as equal, but differ."""
-    noise = effects.deviations.noise * effects.data.sigma / effects.data.nominal_peak
-    return bool(np.ptp(effects.data.force) == 0 and noise > NOISY)
 
 
 def _likelier_with_wider_forces(

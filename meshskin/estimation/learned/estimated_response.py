@@ -11,8 +11,7 @@ from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
 from ..data.measurements import Measurements
 from ..joint.contacts import LinearizedContacts
-from ..joint.creep import TIME
-from ..joint.electronics import WIDTH
+from ..joint.electronics import TIME, WIDTH
 from ..joint.likelihood import Likelihood
 from ..joint.parametrization import Unknowns
 from ..joint.pressure import disc_means
@@ -50,12 +49,12 @@ def learned_response(
         extent=data.profile_extent,
         levels=data.response_levels,
         unit=data.unit,
-        hysteresis=_hysteresis(effects),
+        hysteresis=_share(effects, "hysteresis", WIDTH),
         crosstalk=data.parameters.value("crosstalk", s),
         leaking=1.0 if data.leaks is None else float(data.leaks.weight.mean()),
         drift=_own(effects, "drift") * data.sigma * data.unit,
         skew=_own(effects, "skew"),
-        creep=_creep(effects),
+        creep=_share(effects, "creep", TIME),
         gain_drift=float(np.expm1(_common_drift(effects, "gain_drift"))),
         offset_drift=_common_drift(effects, "offset_drift") * nominal,
         force_drift=float(np.expm1(_common_drift(effects, "force_drift"))),
@@ -102,22 +101,13 @@ def _curves(effects: RandomEffects, covariance: Array, group: int) -> dict[str, 
     }
 
 
-def _hysteresis(effects: RandomEffects) -> tuple[float, float]:
-    """Share of the play operator, and its half-width relative to the nominal peak."""
+def _share(effects: RandomEffects, name: str, unit: float) -> tuple[float, float]:
+    """Share of the departure `name`, and its width or time constant; zeros without it."""
     columns = effects.data.parameters.columns
-    if "hysteresis" not in columns:
+    if name not in columns:
         return 0.0, 0.0
-    share, log_width = effects.unknowns.s[columns["hysteresis"]]
-    return float(share), WIDTH * float(np.exp(log_width))
-
-
-def _creep(effects: RandomEffects) -> tuple[float, float]:
-    """Share of creep, and its time constant, s."""
-    columns = effects.data.parameters.columns
-    if "creep" not in columns:
-        return 0.0, 0.0
-    share, log_time, _ = effects.unknowns.s[columns["creep"]]
-    return float(share), TIME * float(np.exp(log_time))
+    share, log_scale, *_ = effects.unknowns.s[columns[name]]
+    return float(share), unit * float(np.exp(log_scale))
 
 
 def _common_drift(effects: RandomEffects, name: str) -> float:

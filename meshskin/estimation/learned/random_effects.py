@@ -6,7 +6,7 @@ of the taxels, and the coefficients of the learned profile. A reading has noise 
 and one proportional to its level. Given the variances, all unknowns move together by Gauss-Newton
 steps (coupled_system.py). From where these are near the optimum on, each variance moves after every
 step by Fisher scoring of the restricted likelihood (deviations.py, with the source); one
-factorization serves the step and the posterior before it (posterior.py).
+factorization serves the step and the posterior before it.
 """
 
 from __future__ import annotations
@@ -34,9 +34,8 @@ from ..joint.reading_sums import CONTACT_SIZE
 from ..joint.readings import Readings
 from ..joint.rejected_readings import HUBER
 from ..joint.variable_projection import LOOSE_SIGMA
-from .deviations import Deviations
+from .deviations import Deviations, Effects, Posterior, Probes
 from .lagged_system import LaggedSystem
-from .posterior import Posterior, Probes
 
 MAX_ITERATIONS, USUAL_ITERATIONS, MAX_IMPLAUSIBLE = 60, 30, 10
 """Largest number of Gauss-Newton steps; 10 to 25 are usual, and after 30 variances near zero that
@@ -163,16 +162,21 @@ class RandomEffects:
         """The readings at the present values."""
         return self._once(self._fitted)
 
-    def _fitted(self) -> FittedReadings:
+    def slopes(self) -> tuple[Array, Array]:
+        """First and second derivatives (k,) of the readings' costs in mu."""
         _, rate, curvature = self._once(self._costs)
+        return rate / self.spread, curvature / self.spread**2
+
+    def _fitted(self) -> FittedReadings:
+        rate, curvature = self.slopes()
         return FittedReadings(
             data=self.data,
             readings=self.readings,
             points=self.unknowns.parametrization.points(),
             mu=self.mu,
             offset=self.unknowns.nuisance[self.readings.taxel, 1],
-            rate=rate / self.spread,
-            curvature=curvature / self.spread**2,
+            rate=rate,
+            curvature=curvature,
             gain=np.exp(self.unknowns.nuisance[self.readings.taxel, 0]),
             own=self.jacobian[:, : self.size].T,
             prior=self.prior[0],
@@ -214,9 +218,7 @@ class RandomEffects:
         return self._once(self._normal_equations)
 
     def _normal_equations(self) -> CoupledSystem:
-        _, rate, curvature = self._once(self._costs)
-        (taxel, contact, shared), u = self.prior, self.unknowns
-        slopes = rate / self.spread, curvature / self.spread**2
+        (taxel, contact, shared), u, slopes = self.prior, self.unknowns, self.slopes()
         bare = CoupledSystem.from_readings(self.pattern, self.jacobian, *slopes, self.size)
         if self.lag.any():
             bare = LaggedSystem.extended(bare, self.jacobian, *slopes, self.lag, self.rests_on)
@@ -324,10 +326,10 @@ class RandomEffects:
             "profile": (s @ s, len(s)),
         }
         squares |= {name: (np.sum(u.nuisance[:, k] ** 2), taxels) for k, name in enumerate(names)}
-        effects = {
-            name: posterior.effects(name, float(square) / getattr(d, name) ** 2, count)
-            for name, (square, count) in squares.items()
-        }
+        effects = {}
+        for name, (square, n) in squares.items():
+            known = posterior.determined[name], posterior.information[name]
+            effects[name] = Effects(float(square) / getattr(d, name) ** 2, *known, n)
         moved, largest = d.moved(effects, careful=len(self.iterates) > USUAL_ITERATIONS)
         both = largest < PROPORTIONAL or d.relative > 0
         self.deviations = self._with_noise(moved, 2 if both else 1)

@@ -13,11 +13,9 @@ import numpy as np
 from ...core.arrays import Array, spread_rows
 from ..chart import tangential_square
 from ..data.global_parameters import DEPARTURES, ERROR_EXPONENT, MOTION
-from ..joint import fault_detection, rejected_readings
-from ..joint.contact_fields import contact_fields
+from ..joint import fault_detection, rejected_readings, small_effects
 from ..joint.departures import FittedReadings
-from ..joint.gain_changes import GAIN_CHANGES, OWN_DRIFTS, displacements, gain_changes, own_drifts
-from ..joint.held_lags import HELD_LAGS, NAMED, held_lags
+from ..joint.gain_changes import GAIN_CHANGES, displacements, gain_changes
 from ..joint.joint_estimator import MAX_CHI2, JointEstimator
 from ..joint.leaks import LOST_SHARE, further_shares, leak_covariances, lost_share
 from ..joint.noise import Noise, neighbour_scatter
@@ -25,10 +23,8 @@ from ..joint.null_space import undetermined_motion
 from ..joint.optimum import model_dependence
 from ..joint.parametrization import SurfaceParametrization
 from ..joint.pressure import CENSORED, OBSERVED
-from ..joint.residual_correlations import larger, shared_errors
+from ..joint.residual_correlations import contact_fields, larger, shared_errors
 from ..joint.rival_optima import RivalOptima
-from ..joint.second_fits import second_fits
-from ..joint.shifted_patches import SHIFTED, shifted_patches
 from ..joint.small_effects import SmallEffects
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
@@ -44,8 +40,7 @@ from ..result import (
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit, remedy_of_learned
 from .contact_correlations import alike_errors, fewer_contacts, force_scatter
 from .estimated_response import learned_response
-from .lags import LAGS, MAX_LEVERAGE, contact_leverage, lags
-from .marginal_slope import slope_beyond_mode
+from .lags import LAGS, MAX_LEVERAGE, lags, slope_beyond_mode
 from .random_effects import RandomEffects
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
@@ -82,7 +77,7 @@ def learned_result(
         tangential += model_dependence(estimator, fit, reach)
     placed, tangential, words, scores = _corrected(effects, fit, small, tangential)
     points, rotations = placed.points(), placed.rotations()
-    apart, second = np.nan_to_num(rivals.points - points), second_fits(estimator)
+    apart, second = np.nan_to_num(rivals.points - points), rejected_readings.second_fits(estimator)
     tangential += tangential_square(rotations[:, :, :2], apart) + second.covariances
     departures |= scores | second.departure
     changed, reasons = gain_changes(effects.fitted()), reasons.copy()
@@ -140,10 +135,10 @@ def _corrected(
             placed = placed.relinearized(effects.data.body, -errors.displacements)
     if fit.good is not False:
         behind = _value(effects, "drag") or _value(effects, "friction")
-        late = held_lags(effects.fitted(), behind)
+        late = small_effects.held_lags(effects.fitted(), behind)
         late = late.held() if small[LAGS].displacements.any() else late  # of the same cause
-        departures[HELD_LAGS] = late.score
-        factors += [HELD_LAGS] if late.score > NAMED else []
+        departures[small_effects.HELD_LAGS] = late.score
+        factors += [small_effects.HELD_LAGS] if late.score > small_effects.NAMED else []
         tangential = tangential + late.covariances
         placed = placed.relinearized(effects.data.body, -late.displacements)
     return placed, tangential, factors, departures
@@ -207,13 +202,15 @@ def _tangential(
         factors.append(ALIKE_CONTACTS)
     departures = {**errors.beyond(added, own), **fields.departure}
     if fit.good is not False:
-        shifted = shifted_patches(fitted, _value(effects, "patch_shift"))
+        shifted = small_effects.shifted_patches(fitted, _value(effects, "patch_shift"))
         tangential = tangential + shifted.covariances
-        factors += [SHIFTED] if shifted.score > NAMED else []
+        factors += [small_effects.SHIFTED] if shifted.score > small_effects.NAMED else []
     tangential *= _few_readings(effects)[:, None, None]
     rejected = rejected_readings.displacements(fitted, effects.spread**-2.0, effects.spread)
     both = np.stack([rejected, displacements(_whole(effects), 1.0)])
-    tangential += _leaks(effects) + np.einsum("sni,snj->nij", both, both)
+    tangential += leak_covariances(fitted, _value(effects, "crosstalk")) + np.einsum(
+        "sni,snj->nij", both, both
+    )
     return tangential, factors, departures
 
 
@@ -238,14 +235,16 @@ def _small_effects(effects: RandomEffects, fit: GoodnessOfFit) -> dict[str, Smal
         return dict.fromkeys((LAGS, SHARES, LOST_SHARE), none)
     fitted, late, likeliest = effects.fitted(), none, ""
     shares, lost = further_shares(fitted), lost_share(fitted)
-    if contact_leverage(fitted) <= MAX_LEVERAGE:
+    if np.mean(small_effects.contact_leverages(fitted)) <= MAX_LEVERAGE:
         late = lags(fitted, partial(slope_beyond_mode, effects))
         scores = {LAGS: late.score, SHARES: shares.score, LOST_SHARE: lost.score}
         likeliest = max(scores, key=lambda name: scores[name])
     found = {LAGS: late, SHARES: shares, LOST_SHARE: lost}  # each passes for the others
     found = {name: one if name == likeliest else one.held() for name, one in found.items()}
     if (at := effects.data.parameters.columns.get("gain_drift")) is not None:
-        found[OWN_DRIFTS] = own_drifts(fitted, effects.data.drifts @ effects.unknowns.s[at])
+        found[small_effects.OWN_DRIFTS] = small_effects.own_drifts(
+            fitted, effects.data.drifts @ effects.unknowns.s[at]
+        )
     return found
 
 
@@ -334,11 +333,3 @@ def _not_separable(effects: RandomEffects, covariance: Array) -> tuple[str, ...]
         and sigma[k] > NOT_SEPARABLE * parameters.sigma[k]
     )
     return (*weak, *undetermined_motion(parameters, covariance))
-
-
-def _leaks(effects: RandomEffects) -> Array:
-    """What to add to the tangential covariances (n, 2, 2), m^2, for neighbours that may
-    crosstalk or not."""
-    if effects.data.leaks is None:
-        return np.zeros((2, 2))
-    return leak_covariances(effects.fitted(), _value(effects, "crosstalk"))

@@ -179,14 +179,9 @@ def _root(covariance: Array) -> Array:
 
 def all_log_likelihoods(blocks: Sequence[Block], errors: Errors, threshold: float) -> Array:
     """ln (h,) of the likelihoods of the blocks."""
-    if len(blocks) > 1 and is_single(blocks):
+    if len(blocks) > 1 and all(len(b.hypothesis.points) == 1 for b in blocks):
         return Stack(blocks, errors).log_likelihoods(threshold)
     return np.array([b.log_likelihood(errors, threshold) for b in blocks])
-
-
-def is_single(blocks: Sequence[Block]) -> bool:
-    """Whether all blocks are of one taxel each."""
-    return all(len(b.hypothesis.points) == 1 for b in blocks)
 
 
 def log_likelihoods(level: Array, mean: Array, c: Array, errors: Errors, threshold: float) -> Array:

@@ -22,7 +22,7 @@ from ..data.measurements import Measurements
 from ..data.registration import MIN_SCATTER, cells, slopes
 from ..trilateration.displacements import surface_motion
 from ..trilateration.trilaterate import starts
-from . import swapped_axes
+from .frame_errors import nearer_axes
 from .surface_errors import growth, local_means, normal_variance, sheet_covariance, tilts
 
 SHIFT_SIGMAS = 5.0
@@ -75,7 +75,7 @@ def systematic_covariance(
     hit, moved_points = on_surface(data, points)
     sideways = moved_points.squares(middles)
     sideways += delay.remaining_squares(data)
-    swapped = swapped_axes.nearer_axes(data, points).displacements(middles)
+    swapped = nearer_axes(data, points).displacements(middles)
     moves = [swapped]
     if jump is not None:
         moves.append(np.broadcast_to(jump, middles.shape))

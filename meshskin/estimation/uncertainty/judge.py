@@ -20,7 +20,7 @@ from ..data.measurements import Measurements
 from ..data.patch_shape import MAX_EDGES
 from ..joint.departures import MIN_SCORE
 from ..learned.contact_correlations import MAX_CORRELATION
-from . import mounted_anew, recorded_normals, swapped_axes, verdict, weighted_means
+from . import frame_errors, verdict, weighted_means
 from .contact_errors import SURFACE_DEPTHS, displacement, nearer_points, on_surface
 from .goodness_of_fit import STRONG, undeclared
 from .unseen_motions import unseen_motions
@@ -101,9 +101,7 @@ def _of_log(
     """Findings on the columns of the log that use no estimate but the offsets among `unknowns`."""
     points = nearer_points(data, unknowns)
     yield from _surface(data, points)
-    yield from recorded_normals.findings(recording, data)
-    yield from swapped_axes.findings(recording, data, points)
-    yield from mounted_anew.findings(data, points)
+    yield from frame_errors.findings(recording, data, points)
     yield from verdict.pressures(recording, data)
 
 

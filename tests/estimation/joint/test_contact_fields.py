@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.joint.contact_fields import LEAST_SCORE, contact_fields
 from meshskin.estimation.joint.departures import MIN_SCORE, FittedReadings
+from meshskin.estimation.joint.residual_correlations import LEAST_SCORE, contact_fields
 
 from ..learned.test_estimate import RADIUS, belief, errors, recording, world
 

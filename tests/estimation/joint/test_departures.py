@@ -165,7 +165,7 @@ def test_a_single_pair_of_readings_in_one_contact_tells_no_errors_of_contacts(se
     estimator = SimpleNamespace(
         problem=SimpleNamespace(
             contacts=SimpleNamespace(with_errors=lambda s, errors: None),
-            nuisance=lambda z, taxels: None,
+            nuisance=lambda z: None,
             parametrization=SimpleNamespace(count=1),
             points=lambda state: None,
         ),

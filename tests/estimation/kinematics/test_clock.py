@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.estimation.kinematics.clock import first_offset
-from meshskin.estimation.kinematics.corrected import with_clock
+from meshskin.estimation.kinematics.clock import first_offset, with_clock
 from meshskin.robot.contact_kinematics import JointPath
 from meshskin.scene.contact_motion import ContactMotion
 

@@ -8,10 +8,9 @@ import pytest
 from meshskin.core.progress import Stage
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint.pressure import OBSERVED
-from meshskin.estimation.learned import first_response
+from meshskin.estimation.learned import start as module
 from meshskin.estimation.learned.estimate import with_learned_response
-from meshskin.estimation.learned.first_response import _part, with_first_response
-from meshskin.estimation.learned.start import begin
+from meshskin.estimation.learned.start import _part, begin, with_first_response
 from meshskin.estimation.trilateration import trilaterate
 
 from .test_estimate import TAXELS, TRUTH, belief, bell, recording, world
@@ -35,7 +34,7 @@ def started():
 def small_parts(monkeypatch):
     """Two regions of nine taxels, for skins of 36 taxels and more."""
     for name, value in {"PARTS": 2, "SIZE": 9, "LEAST": 2}.items():
-        monkeypatch.setattr(first_response, name, value)
+        monkeypatch.setattr(module, name, value)
 
 
 def test_a_part_reads_what_all_taxels_read(started):
@@ -83,5 +82,5 @@ def test_a_part_that_does_not_converge_changes_nothing(started, small_parts, mon
 
 
 def test_few_taxels_are_estimated_together(started, monkeypatch):
-    monkeypatch.setattr(first_response, "_part", lambda *arguments: pytest.fail("a part"))
+    monkeypatch.setattr(module, "_part", lambda *arguments: pytest.fail("a part"))
     with_first_response(started())

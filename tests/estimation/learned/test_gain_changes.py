@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.estimation.joint.gain_changes import GAIN_CHANGES, OWN_DRIFTS
-from meshskin.estimation.joint.held_lags import of_their_own
+from meshskin.estimation.joint.gain_changes import GAIN_CHANGES
+from meshskin.estimation.joint.small_effects import OWN_DRIFTS, of_their_own
 
 from .test_contact_kinds import scattered
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from meshskin.estimation.learned import marginal_slope as module
-from meshskin.estimation.learned.marginal_slope import slope_beyond_mode
+from meshskin.estimation.learned import lags as module
+from meshskin.estimation.learned.lags import slope_beyond_mode
 
 CONTACTS, EACH, PRIOR = 200, 5, 4.0
 RNG = np.random.default_rng(2)
@@ -48,14 +48,14 @@ class System:
 
 def moved(effects, errors):
     mu = predicted(errors[:, 2])
-    return SimpleNamespace(mu=mu.ravel(), jacobian=mu)
+    rate = mu.ravel() - LEVEL.ravel()
+    return SimpleNamespace(mu=mu.ravel(), jacobian=mu, slopes=lambda: (rate, np.ones_like(rate)))
 
 
 @pytest.fixture
 def effects(monkeypatch):
     monkeypatch.setattr(module, "_moved", moved)
-    monkeypatch.setattr(module, "contact_leverage", lambda fitted: 0.1)
-    monkeypatch.setattr(module, "_rate", lambda moved: moved.mu - LEVEL.ravel())
+    monkeypatch.setattr(module, "contact_leverages", lambda fitted: np.array([0.1]))
     fitted = Fitted(LEVEL.ravel(), np.ones(LEVEL.size), LEVEL)
     return SimpleNamespace(
         fitted=lambda: fitted,
@@ -96,5 +96,5 @@ def test_none_where_the_deviation_of_force_errors_is_a_bound(effects):
 
 
 def test_none_where_contacts_have_no_errors(effects, monkeypatch):
-    monkeypatch.setattr(module, "contact_leverage", lambda fitted: 1e-4)
+    monkeypatch.setattr(module, "contact_leverages", lambda fitted: np.array([1e-4]))
     assert not slope_beyond_mode(effects, columns).any()

@@ -7,7 +7,7 @@ import pytest
 
 from meshskin.estimation.joint.coupled_system import CoupledSystem, CouplingPattern
 from meshskin.estimation.joint.readings import Readings
-from meshskin.estimation.learned.posterior import Posterior, Probes
+from meshskin.estimation.learned.deviations import Posterior, Probes
 
 TAXELS, CONTACTS, SHARED, PROFILE = 6, 8, 5, slice(2, 5)
 SIZES = (TAXELS * 4, CONTACTS * 3, SHARED)

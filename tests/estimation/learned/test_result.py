@@ -49,7 +49,7 @@ def test_lags_are_not_looked_for_where_contacts_have_errors_of_any_size(monkeypa
     for name in ("lags", "further_shares"):
         monkeypatch.setattr(result, name, lambda *_: found)
     monkeypatch.setattr(result, "lost_share", lambda _: replace(found, score=9.0))
-    monkeypatch.setattr(result, "contact_leverage", lambda fitted: leverage)
+    monkeypatch.setattr(result.small_effects, "contact_leverages", lambda _: np.array([leverage]))
     unknowns = SimpleNamespace(nuisance=np.zeros((3, 2)))
     data = SimpleNamespace(parameters=SimpleNamespace(columns={}))
     effects = SimpleNamespace(unknowns=unknowns, fitted=lambda: None, data=data)

@@ -8,8 +8,8 @@ import trimesh
 
 import meshskin as ms
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.uncertainty import mounted_anew
-from meshskin.estimation.uncertainty.swapped_axes import nearer_axes, signed_permutations
+from meshskin.estimation.uncertainty import frame_errors
+from meshskin.estimation.uncertainty.frame_errors import nearer_axes, signed_permutations
 from meshskin.geometry.region import Cap
 
 CONTACTS = 300
@@ -114,8 +114,8 @@ def test_a_body_of_another_size_has_not_moved(off_plane):
     points = body.closest(0.05 * np.column_stack([side, across]) + [0.0, 1.5e-3, 0.0]).point
     middle = np.array([0.0, 1.5e-3, 0.0])
     data = gather(log(off_plane, np.ones(3)), off_plane.belief())
-    assert not list(mounted_anew.findings(data, middle + (1 - 0.3 / 50) * (points - middle)))
+    assert not list(frame_errors._of_moves(data, middle + (1 - 0.3 / 50) * (points - middle)))
     moved = points + np.where(side[:, None] > 0, 0.0, [0.0, 0.0, 1e-3])
-    ((_, words),) = mounted_anew.findings(data, moved)
+    ((_, words),) = frame_errors._of_moves(data, moved)
     assert "at about 50%" in words
     assert "another 1 mm" in words

@@ -15,7 +15,7 @@ from meshskin.estimation.calibrate import METHODS, calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
 from meshskin.estimation.uncertainty import verdict
-from meshskin.estimation.uncertainty.recorded_normals import least_turn
+from meshskin.estimation.uncertainty.frame_errors import least_turn
 from meshskin.estimation.uncertainty.weighted_means import surrounded
 from meshskin.geometry.region import Cap
 from meshskin.recording.recording import UNCOMPARED, Recording
