@@ -10,7 +10,7 @@ import math
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -146,7 +146,7 @@ class _Job:
     progress: Progress | None
     timer: StageTimer
     beside: Beside
-    """Processes that draw."""
+    """The process that draws."""
 
 
 @dataclass(frozen=True)
@@ -307,15 +307,16 @@ def _early_figures(
 ) -> tuple[Demonstration | None, dict[str, Drawing]]:
     """The demonstration of the pose graph, None where taxels share too few contacts or the time is
     used up, and the figures that need no comparison, begun before it."""
-    scene, recording = done.scene, done.estimation.recording
-    shown, names = None, EARLY
+    scene, recording, folder = done.scene, done.estimation.recording, job.folder / FIGURES
+    metrics = {"force": {"reference_n": _force(recording, scene).reference}}
+    data = ReportData(done.calibration, recording, scene.skin, metrics=metrics, body=scene.body)
+    early, shown = begin_figures(folder, data, EARLY, job.beside), None
     with job.timer.stage("compare"), suppress(CalibrationError, GraphError, OutOfTime):
         job.deadline.check(REPORT_SECONDS)
         shown = demonstrate(scene.skin.poses, scene.skin.ids, recording, job.seed)
-        names = ("iterations", *EARLY)
-    metrics = {"force": {"reference_n": _force(recording, scene).reference}}
-    data = ReportData(done.calibration, recording, scene.skin, {}, shown, metrics, body=scene.body)
-    return shown, begin_figures(job.folder / FIGURES, data, names, job.beside)
+        data = replace(data, demonstration=shown)
+        early |= begin_figures(folder, data, ["iterations"], job.beside)
+    return shown, early
 
 
 def _report(job: _Job, result: Result, early: dict[str, Drawing]) -> None:

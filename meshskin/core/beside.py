@@ -1,6 +1,6 @@
-"""Work in forked processes beside this one: two cores draw figures and compare methods at once.
+"""Work in a forked process beside this one: two cores draw figures and compare methods at once.
 
-They are forked before there is work, and import what it needs while this process computes.
+It is forked before there is work, and imports what that needs while this process computes.
 """
 
 from __future__ import annotations
@@ -34,22 +34,20 @@ def can_fork() -> bool:
 
 
 class Beside:
-    """Context of two forked processes, one where the machine is busy, which end with it; each calls
-    `prepare` first.
+    """Context of a forked process, which ends with it, calls `prepare` and then does the work.
 
-    Where none can be forked, they fail or give no result within PATIENCE, work is done in this
-    process when its result is asked for. forked: False for work that is not worth them.
+    Where none can be forked, it fails or gives no result within PATIENCE, work is done in this
+    process when its result is asked for. forked: False for work that is not worth it.
     """
 
     def __init__(self, prepare: Callable[[], object], forked: bool = True) -> None:
         self._pool, before = None, multiprocessing.active_children()
         if forked and can_fork():
             context = multiprocessing.get_context("fork")
-            second = os.getloadavg()[0] < len(os.sched_getaffinity(0))
-            self._pool = ProcessPoolExecutor(1 + second, context, _begin, (prepare,))
+            self._pool = ProcessPoolExecutor(1, context, _begin, (prepare,))
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", DeprecationWarning)  # idle threads of BLAS
-                self._pool.submit(int)  # forks all
+                self._pool.submit(int)  # forks
         self._children = set(multiprocessing.active_children()) - set(before)
 
     def submit(self, work: Callable[P, T], *args: P.args, **options: P.kwargs) -> Callable[[], T]:

@@ -34,7 +34,7 @@ ACCURACY_TIME, RESIDUALS = "accuracy_time", "residuals"
 
 
 def drawing_beside(forked: bool = True) -> Beside:
-    """Processes that draw figures; they begin with importing what draws them."""
+    """A process that draws figures, and begins with importing what draws them."""
     return Beside(partial(import_module, "matplotlib.figure"), forked)
 
 
@@ -296,5 +296,5 @@ DRAWN = (
     force, response, estimates, errors, uncertainty, coverage, residuals, iterations, accuracy_time
 )  # fmt: skip
 """The figures, in the order of the page."""
-EARLY: Sequence[str] = "force", "coverage", "uncertainty", "estimates", "response"
-"""Figures of a simulated recording that need no other method, those that take longest first."""
+EARLY = "force", "coverage", "uncertainty", "estimates", "response"
+"""Figures of a simulated and calibrated recording that need no other method."""

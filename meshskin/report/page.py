@@ -79,7 +79,7 @@ def report(
     facts: fields of ReportData, at least its calibration; those that are None are left out. budget:
     the decisions of an error budget. validation: what `calibration.cross_validate` gave.
     progress(stage, done, total): called after each figure of the stage "report".
-    beside: processes that draw.
+    beside: the process that draws.
 
     Returns the paths written, the page first. Raises OutputError if a file cannot be written.
     """
@@ -90,7 +90,7 @@ def report(
     data = replace(data, metrics={**metrics, **data.metrics})
     if beside is not None:
         return draw(Path(path), data, progress, beside)[0]
-    import matplotlib.figure  # noqa: F401  once, not in each process
+    import matplotlib.figure  # noqa: F401  once, not in both processes
 
     with drawing_beside() as beside:
         return draw(Path(path), data, progress, beside)[0]

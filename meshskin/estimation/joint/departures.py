@@ -1,7 +1,7 @@
-"""What the readings show beyond a contact model: errors of the contacts, an offset of the indenter,
-drag, friction, hysteresis, creep, crosstalk, drifts, and patches that fillets displace.
+"""What the readings show beyond a contact model: an offset of the indenter, drag, friction,
+hysteresis, creep, crosstalk, drifts, and patches that fillets displace.
 
-Each but the first is tested by its score, the derivative of the log-likelihood in its parameter
+Each is tested by its score, the derivative of the log-likelihood in its parameter
 at zero, relative to its standard deviation there. Where contacts have errors of their own, all
 unknowns are estimated beside it; else each taxel's own ones, and the others are taken as known in
 that deviation, which makes it too large and the test careful.
@@ -28,11 +28,9 @@ from .electronics import WIDTH, Electronics
 from .friction import shears
 from .joint_estimator import JointEstimator
 from .parametrization import SurfaceParametrization
-from .pressure import OBSERVED, costs
+from .pressure import costs
 from .readings import Readings
 
-CONTACT_ERRORS = "errors of the contacts"
-"""Name of the departure that `contact_score` tests."""
 MIN_SCORE = 6.0
 """Score, in standard deviations, from which a departure is shown: 1e-9 by chance."""
 TOGETHER = 7
@@ -48,8 +46,6 @@ ONE_SIDED = ("friction", "hysteresis")
 MAX_OFFSET = PRIOR_SIGMAS * PRIORS["indenter_offset"]
 """Largest offset of the indenter, m: where contacts show hardly any along a direction, as of a ball
 along its normals, errors of the response pass for one of centimetres."""
-PAIRED = 1e-12
-"""Least variance of the sum over pairs, as a share of that of all readings: rounding is below."""
 SEEN = 1e-6
 """Least information on a parameter, relative to that with known taxels: rounding is below it."""
 FILTER_SHARE = 0.9
@@ -237,12 +233,16 @@ class FittedReadings:
     def _coupling(self, columns: Array) -> Array:
         """Couplings (n, D, q) of each taxel's own unknowns, in their scales, with parameters of the
         derivatives `columns` (k, q)."""
-        sums = (self._by_unknown @ columns).reshape(len(self.own), len(self.points), -1)
-        return np.asarray(np.moveaxis(sums, 0, 1) / self._own_information[0][:, :, None])
+        return np.asarray(self._products(columns) / self._own_information[0][:, :, None])
+
+    def _products(self, columns: Array) -> Array:
+        """Sums (n, D, q) over each taxel's readings of curvature, own derivative and column."""
+        found = self._by_unknown @ columns
+        return np.moveaxis(found.reshape(len(self.own), len(self.points), -1), 0, 1)
 
     @cached_property
     def _by_unknown(self) -> csr_array:
-        """Second derivatives (D n, k) in each of the taxels' own unknowns and in the readings."""
+        """Curvature times derivative of the readings (k,) in the taxels' own unknowns (D n,)."""
         (size, count), n = self.own.shape, len(self.points)
         rows = self.readings.taxel + n * np.arange(size)[:, None]
         columns = np.broadcast_to(np.arange(count), rows.shape)
@@ -255,15 +255,12 @@ class FittedReadings:
     @cached_property
     def _own_information(self) -> tuple[Array, Array]:
         """Scales (n, D) of each taxel's own unknowns, and their information (n, D, D) in these."""
-        taxel, n, size = self.readings.taxel, len(self.points), len(self.own)
         if self.system is not None:
             matrix = self.system.taxels
         else:
-            weighted, own = (self.own * self.curvature).T, self.own.T
-            products = (weighted[:, :, None] * own[:, None, :]).reshape(-1, size**2)
-            matrix = sums_by_group(products, taxel, n).reshape(-1, size, size) + np.diag(self.prior)
+            matrix = self._products(self.own.T) + np.diag(self.prior)
         scale = np.sqrt(np.diagonal(matrix, axis1=1, axis2=2)) + 1e-12
-        unit = matrix / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(size)
+        unit = matrix / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(len(self.own))
         return scale, unit
 
 
@@ -324,29 +321,3 @@ def fitted_readings(estimator: JointEstimator, weight: Array) -> FittedReadings:
         tangents=problem.parametrization.charts.tangents,
         prior=np.array([0.0, 0.0, *(sigma**-2 for sigma in estimator.likelihood.nuisance_sigma)]),
     )
-
-
-def contact_score(estimator: JointEstimator) -> float:
-    """The larger of two scores, in standard deviations, of errors that the readings of a contact
-    share: a displacement of its point, and an error of its force.
-
-    The sum over all pairs of readings of a contact of the products of their residuals, weighted by
-    what each would change: zero on average for independent errors, whatever their variance.
-    """
-    problem, state, m = estimator.problem, estimator.state, len(estimator.data.points)
-    contacts = problem.contacts.with_errors(state.s, np.zeros((m, 3)))
-    readings = estimator.likelihood.readings
-    nuisance = problem.nuisance(state.z)
-    jacobian = estimator.likelihood.derivatives(problem.points(state), nuisance, contacts)[-3:]
-    used = (readings.kind == OBSERVED) & (readings.weight > 0.5)
-    owner, found = readings.contact[used], []
-    product = jacobian[:, used] * (np.sqrt(readings.precision) * estimator.residuals())[used]
-    for rows in (slice(0, 2), slice(2, 3)):
-        excess, variance = 0.0, 1e-300
-        for x in product[rows]:
-            squares = np.bincount(owner, x**2, m)
-            pairs = squares**2 - np.bincount(owner, x**4, m)
-            excess += float(np.sum(np.bincount(owner, x, m) ** 2 - squares))
-            variance += 2 * float(max(np.sum(pairs), PAIRED * np.sum(squares**2)))
-        found.append(excess / variance**0.5)
-    return max(found)

@@ -10,11 +10,12 @@ from ...core.arrays import Array
 from ..result import ALIKE_CONTACTS, SHARED_ERRORS, EstimatorResult
 from ..uncertainty.goodness_of_fit import GoodnessOfFit
 from . import fault_detection, gain_changes, rejected_readings
-from .departures import CONTACT_ERRORS, FittedReadings, contact_score, fitted_readings
+from .departures import FittedReadings, fitted_readings
 from .joint_estimator import JointEstimator
 from .jump import Jump, jump_by_outliers, jump_of
 from .leaks import crosstalk_score
 from .parametrization import SurfaceParametrization
+from .pressure import OBSERVED
 from .rejected_readings import SecondFits, second_fits
 from .residual_correlations import (
     ContactFields,
@@ -24,6 +25,11 @@ from .residual_correlations import (
     shared_errors,
 )  # fmt: skip
 from .small_effects import HELD_LAGS, NAMED, SHIFTED, held_lags, shifted_patches
+
+CONTACT_ERRORS = "errors of the contacts"
+"""Name of the departure that `contact_score` tests."""
+PAIRED = 1e-12
+"""Least variance of the sum over pairs, as a share of that of all readings: rounding is below."""
 
 
 @dataclass(frozen=True)
@@ -98,3 +104,29 @@ class ModelDepartures:
         for part in (self.errors, self.fields, self.jump, self.second):
             found |= part.departure if part else {}
         return found
+
+
+def contact_score(estimator: JointEstimator) -> float:
+    """The larger of two scores, in standard deviations, of errors that the readings of a contact
+    share: a displacement of its point, and an error of its force.
+
+    The sum over all pairs of readings of a contact of the products of their residuals, weighted by
+    what each would change: zero on average for independent errors, whatever their variance.
+    """
+    problem, state, m = estimator.problem, estimator.state, len(estimator.data.points)
+    contacts = problem.contacts.with_errors(state.s, np.zeros((m, 3)))
+    readings = estimator.likelihood.readings
+    nuisance = problem.nuisance(state.z)
+    jacobian = estimator.likelihood.derivatives(problem.points(state), nuisance, contacts)[-3:]
+    used = (readings.kind == OBSERVED) & (readings.weight > 0.5)
+    owner, found = readings.contact[used], []
+    product = jacobian[:, used] * (np.sqrt(readings.precision) * estimator.residuals())[used]
+    for rows in (slice(0, 2), slice(2, 3)):
+        excess, variance = 0.0, 1e-300
+        for x in product[rows]:
+            squares = np.bincount(owner, x**2, m)
+            pairs = squares**2 - np.bincount(owner, x**4, m)
+            excess += float(np.sum(np.bincount(owner, x, m) ** 2 - squares))
+            variance += 2 * float(max(np.sum(pairs), PAIRED * np.sum(squares**2)))
+        found.append(excess / variance**0.5)
+    return max(found)

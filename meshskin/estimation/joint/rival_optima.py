@@ -298,15 +298,12 @@ def optimum_from(
 
 @dataclass(frozen=True)
 class Placed:
-    """r copies of taxels at some place each."""
+    """Taxels `rows` (r,) at points (r, 3), m; their gains and offsets are sought from z (r, D)."""
 
     estimator: JointEstimator
     rows: np.ndarray
-    """The taxels (r,)."""
     points: Array
-    """(r, 3), m."""
     z: Array
-    """Unknowns (r, D): gains and offsets are sought from these."""
 
     @cached_property
     def readings(self) -> Readings:
@@ -331,17 +328,22 @@ def log_odds_between(first: Placed, second: Placed) -> Array:
     readings that inform about either; gains and offsets are the best ones there. Readings that
     inform about the other place alone are out of reach, or of a contact that presses another sheet:
     the taxel is at rest."""
-    return np.asarray(_cost(second, first) - _cost(first, second))
+    found = []
+    for at, other in ((first, second), (second, first)):
+        rest = _costs_at_rest(at.estimator, at.best[0], at.readings, other.readings)
+        found.append(at.best[1] + rest)
+    return np.asarray(found[1] - found[0])
 
 
-def _cost(at: Placed, other: Placed) -> Array:
-    """Costs (r,) of the readings of taxels `at` a place, and of those that inform about the `other`
-    place alone, as of taxels at rest."""
-    estimator, data, (nuisance, own) = at.estimator, at.estimator.data, at.best
-    contacts = estimator.problem.contacts.at(estimator.state.s)
-    keys = [x.readings.taxel * len(data.points) + x.readings.contact for x in (other, at)]
-    read = other.readings.without(np.isin(*keys))
+def _costs_at_rest(
+    estimator: JointEstimator, nuisance: Array, own: Readings, other: Readings
+) -> Array:
+    """Costs (r,) of the readings of r taxels in `other` that are not in `own`, of taxels at rest,
+    with nuisance parameters (r, .)."""
+    data, contacts = estimator.data, estimator.problem.contacts.at(estimator.state.s)
+    keys = [read.taxel * len(data.points) + read.contact for read in (other, own)]
+    read = other.without(np.isin(*keys))
     away = np.full((len(nuisance), 3), AWAY)
     mu = Likelihood(data, read).means(away, nuisance, contacts)
     cost = read.weight * read.precision * costs(mu, read.level / data.sigma, read.kind)[0]
-    return np.asarray(own + np.bincount(read.taxel, cost, len(nuisance)))
+    return np.asarray(np.bincount(read.taxel, cost, len(nuisance)), dtype=float)

@@ -9,7 +9,8 @@ import pytest
 import meshskin as ms
 from meshskin.core import se3
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.joint.departures import FittedReadings, contact_score
+from meshskin.estimation.joint.departures import FittedReadings
+from meshskin.estimation.joint.model_departures import contact_score
 from meshskin.estimation.joint.pressure import OBSERVED
 
 CONTACTS = 500
