@@ -10,7 +10,7 @@ import math
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,9 +39,6 @@ from .estimation.uncertainty import metrics as truth
 from .exploration.left_out import coverage
 from .exploration.plan import plan_exploration
 from .recording.recording import Recording
-from .report.data import ReportData
-from .report.figure_set import EARLY, Drawing, begin_figures, drawing_beside
-from .report.page import FIGURES, draw
 from .scene.file import read_tables
 from .scene.scene import Scene
 from .simulation.response import ForceResponse, controlled_force, describe_departure, force_response
@@ -49,12 +46,11 @@ from .simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from .core.beside import Beside
+    from .report.figure_set import Drawn
     from .study.sensitivity.budget import BudgetReport
     from .study.sensitivity.choice import Choice
     from .study.sensitivity.first_run import FirstRun
     from .study.sensitivity.request import Request
-
-    Watch = Callable[[Scene, Recording, Calibration], None]
 
 
 @dataclass(frozen=True)
@@ -79,7 +75,7 @@ def run(
     progress: Progress | None = None,
     request: Request | None = None,
     budget: float | None = None,
-    watch: Watch | None = None,
+    watch: Callable[[Scene, Recording, Calibration], None] | None = None,
     began: tuple[float, float] | None = None,
 ) -> Result:
     """Simulate, calibrate and report a scene; write all files into `folder`.
@@ -97,37 +93,27 @@ def run(
     seconds = math.inf if request is None or request.seconds is None else request.seconds
     deadline = Deadline(seconds) if began is None else Deadline(seconds, began)
     timer = StageTimer({} if began is None else {"start": deadline.spent[0]})
-    with drawing_beside(forked=math.isinf(seconds)) as beside:
-        job = _Job(name, Path(folder), seed, deadline, progress, timer, beside)
-        return _run(job, request, budget, watch)
-
-
-def _run(job: _Job, request: Request | None, budget: float | None, watch: Watch | None) -> Result:
-    """All stages of a run; arguments as `run`."""
+    job = _Job(name, Path(folder), seed, deadline, progress, timer)
     plan = _planned(job, _loaded(job, budget), request)
     done, choice = _calibrated(job, plan)
     done.calibration.save(job.folder / "calibration")
     if watch is not None:
-        watched = Stage(job.progress, "live")
+        watched = Stage(progress, "live")
         watch(done.scene, done.estimation.recording, done.calibration)
         watched.end()
-    demonstration, early = _early_figures(job, done)
-    with job.timer.stage("compare"):
-        expected = (lambda _: 0.0) if choice is None else choice.seconds
-        comparison = compare_methods(
-            done.estimation, job.progress, job.deadline, REPORT_SECONDS, expected
-        )
-    with job.timer.stage("metrics"):
-        force = _force(done.estimation.recording, done.scene)
-        metrics = _assess(done, force, demonstration) | comparison.errors(done.scene.skin)
-        metrics |= _account(job, metrics, plan.budget, comparison, choice)
-    result = Result(
-        done.scene, done.estimation.recording, done.calibration, comparison.found,
-        demonstration, force, metrics, plan.budget,
-    )  # fmt: skip
-    _report(job, result, early)
+    with _early_figures(job, done) as early:
+        comparison, demonstration = _compared(job, done, choice)
+        with job.timer.stage("metrics"):
+            force = _force(done.estimation.recording, done.scene)
+            metrics = _assess(done, force, demonstration) | comparison.errors(done.scene.skin)
+            metrics |= _account(job, metrics, plan.budget, comparison, choice)
+        result = Result(
+            done.scene, done.estimation.recording, done.calibration, comparison.found,
+            demonstration, force, metrics, plan.budget,
+        )  # fmt: skip
+        _report(job, result, early)
     if choice is not None:
-        choice.record["came_to"] = _came_to(job.deadline, metrics)
+        choice.record["came_to"] = _came_to(deadline, metrics)
     metrics["seconds"] = {k: round(v, 4) for k, v in job.timer.seconds.items()}
     write_json(job.folder / "metrics.json", metrics)
     return result
@@ -145,8 +131,6 @@ class _Job:
     deadline: Deadline
     progress: Progress | None
     timer: StageTimer
-    beside: Beside
-    """The process that draws."""
 
 
 @dataclass(frozen=True)
@@ -249,6 +233,23 @@ def _simulated(job: _Job, plan: _Planned) -> _Calibrated:
     return _Calibrated(scene, estimation, calibration)
 
 
+def _compared(
+    job: _Job, done: _Calibrated | FirstRun, choice: Choice | None
+) -> tuple[Comparison, Demonstration | None]:
+    """The recording calibrated by the other methods, and the demonstration of the pose graph; None
+    where taxels share too few contacts, or the time is used up."""
+    with job.timer.stage("compare"):
+        expected = (lambda _: 0.0) if choice is None else choice.seconds
+        comparison = compare_methods(
+            done.estimation, job.progress, job.deadline, REPORT_SECONDS, expected
+        )
+        with suppress(CalibrationError, GraphError, OutOfTime):
+            job.deadline.check(REPORT_SECONDS)
+            skin, recording = done.scene.skin, done.estimation.recording
+            return comparison, demonstrate(skin.poses, skin.ids, recording, job.seed)
+    return comparison, None
+
+
 def _force(recording: Recording, scene: Scene) -> ForceResponse:
     """The response of the contact force in a simulated recording."""
     motion = recording.motion
@@ -302,26 +303,23 @@ def _account(
     return more | {"inputs": {"scene": scene, "seed": job.seed}}
 
 
-def _early_figures(
-    job: _Job, done: _Calibrated | FirstRun
-) -> tuple[Demonstration | None, dict[str, Drawing]]:
-    """The demonstration of the pose graph, None where taxels share too few contacts or the time is
-    used up, and the figures that need no comparison, begun before it."""
-    scene, recording, folder = done.scene, done.estimation.recording, job.folder / FIGURES
+def _early_figures(job: _Job, done: _Calibrated | FirstRun) -> Beside[Drawn]:
+    """The figures that need no comparison, drawn beside it; none where the time is limited."""
+    from .report.data import ReportData
+    from .report.page import draw_early
+
+    scene, recording = done.scene, done.estimation.recording
     metrics = {"force": {"reference_n": _force(recording, scene).reference}}
     data = ReportData(done.calibration, recording, scene.skin, metrics=metrics, body=scene.body)
-    early, shown = begin_figures(folder, data, EARLY, job.beside), None
-    with job.timer.stage("compare"), suppress(CalibrationError, GraphError, OutOfTime):
-        job.deadline.check(REPORT_SECONDS)
-        shown = demonstrate(scene.skin.poses, scene.skin.ids, recording, job.seed)
-        data = replace(data, demonstration=shown)
-        early |= begin_figures(folder, data, ["iterations"], job.beside)
-    return shown, early
+    return draw_early(job.folder, data, forked=math.isinf(job.deadline.seconds))
 
 
-def _report(job: _Job, result: Result, early: dict[str, Drawing]) -> None:
+def _report(job: _Job, result: Result, early: Beside[Drawn]) -> None:
     """Draw the report into the folder; the metrics say which figures no time is left for."""
-    scene, metrics = result.scene, result.metrics
+    from .report.data import ReportData
+    from .report.page import draw
+
+    scene, metrics, beside = result.scene, result.metrics, math.isinf(job.deadline.seconds)
     with job.timer.stage("report"):
         data = ReportData(
             result.calibration, result.recording, scene.skin, result.comparisons,
@@ -329,7 +327,8 @@ def _report(job: _Job, result: Result, early: dict[str, Drawing]) -> None:
             provenance(scene=scene.name, seed=job.seed), scene.body,
         )  # fmt: skip
         hook = job.deadline.hook(job.progress, FIGURE_SECONDS)
-        _, left_out = draw(job.folder / "report.html", data, hook, job.beside, early)
+        done = early.result() if beside else {}
+        _, left_out = draw(job.folder / "report.html", data, hook, early=done, beside=beside)
         metrics["figures_left_out"] = left_out
 
 

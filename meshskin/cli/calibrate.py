@@ -31,7 +31,6 @@ from .options import QUIET, RESULTS, in_options, integer, option, refuse
 from .progress_bar import bar
 
 if TYPE_CHECKING:
-    from ..core.beside import Beside
     from ..core.progress import Progress
     from ..estimation.calibration import Calibration
     from ..recording.recording import Recording
@@ -67,20 +66,16 @@ def add(parser: argparse.ArgumentParser) -> None:
 def command(options: argparse.Namespace) -> int:
     """Calibrate, write the results, and print the summary."""
     from ..estimation.uncertainty.verdict import FAIL
-    from ..report.figure_set import drawing_beside
 
-    with bar(options.quiet) as progress, drawing_beside() as beside:
-        found, words = _calibrated(options, progress, beside)
+    with bar(options.quiet) as progress:
+        found, words = _calibrated(options, progress)
     if not options.quiet:
         print(words)
     return FAILED if found.verdict is not None and found.verdict.level == FAIL else 0
 
 
-def _calibrated(
-    options: argparse.Namespace, progress: Progress | None, beside: Beside
-) -> tuple[Calibration, str]:
-    """The calibration, whose results are written once all are there, and the summary; its figures
-    are drawn `beside`."""
+def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple[Calibration, str]:
+    """The calibration, whose results are written once all are there, and the summary."""
     from ..core.atomic_io import check_folder, remove_results, write_json
     from ..core.provenance import provenance
     from ..estimation.calibrate import calibrate
@@ -120,7 +115,6 @@ def _calibrated(
         provenance=provenance(recording=str(options.recording)),
         validation=validation,
         progress=progress,
-        beside=beside,
     )
     metrics["seconds"] = {**found.seconds, "all": perf_counter() - clock}
     write_json(options.out / "metrics.json", metrics)

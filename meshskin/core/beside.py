@@ -1,6 +1,8 @@
 """Work in a forked process beside this one: two cores draw figures and compare methods at once.
 
-It is forked before there is work, and imports what that needs while this process computes.
+A fork has all data of this process at once, which a worker of `study.sweep` would have to load.
+Only files and a small result come back. concurrent.futures and pebble fork a worker before they
+take its work, and so would pickle the data.
 """
 
 from __future__ import annotations
@@ -12,11 +14,9 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
-from functools import partial
-from typing import ParamSpec, TypeVar
+from contextlib import suppress
+from typing import Generic, TypeVar
 
-P = ParamSpec("P")
 T = TypeVar("T")
 PATIENCE = 60.0
 """Seconds that a result is waited for before the work is done anew: in a fork, a lock that a thread
@@ -33,63 +33,42 @@ def can_fork() -> bool:
     )
 
 
-class Beside:
-    """Context of a forked process, which ends with it, calls `prepare` and then does the work.
+class Beside(Generic[T]):
+    """Context in which `work` runs beside this process; its end ends the work.
 
-    Where none can be forked, it fails or gives no result within PATIENCE, work is done in this
-    process when its result is asked for. forked: False for work that is not worth it.
+    Where no process can be forked, it fails or gives no result within PATIENCE, `result` does the
+    work in this process, where its errors are raised. The result has to be picklable. forked: False
+    for work that is not worth it.
     """
 
-    def __init__(self, prepare: Callable[[], object], forked: bool = True) -> None:
-        self._pool, before = None, multiprocessing.active_children()
-        if forked and can_fork():
-            context = multiprocessing.get_context("fork")
-            self._pool = ProcessPoolExecutor(1, context, _begin, (prepare,))
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", DeprecationWarning)  # idle threads of BLAS
-                self._pool.submit(int)  # forks
-        self._children = set(multiprocessing.active_children()) - set(before)
-
-    def submit(self, work: Callable[P, T], *args: P.args, **options: P.kwargs) -> Callable[[], T]:
-        """Begin work; what is returned gives its result, or raises its error, once it is done.
-
-        Work, arguments and result have to be picklable.
-        """
-        here = partial(work, *args, **options)
-        if self._pool is None:
-            return here
-
-        def result() -> T:
+    def __init__(self, work: Callable[[], T], forked: bool = True) -> None:
+        self._work, self._child = work, 0
+        if not (forked and can_fork()):
+            return
+        self._results, sender = multiprocessing.Pipe(duplex=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # idle threads of BLAS
+            self._child = os.fork()
+        if not self._child:
             try:
-                return future.result(PATIENCE)
-            except (BrokenExecutor, TimeoutError):
-                return here()
+                sender.send(work())
+            finally:
+                os._exit(0)  # neither exit handlers nor buffers of the parent
+        sender.close()
 
-        try:
-            future = self._pool.submit(work, *args, **options)
-        except BrokenExecutor:
-            return here
-        return result
+    def result(self) -> T:
+        """What the work returns, once it is done."""
+        if self._child and self._results.poll(PATIENCE):
+            with suppress(EOFError):  # it failed
+                found: T = self._results.recv()
+                return found
+        return self._work()
 
-    def __enter__(self) -> Beside:
+    def __enter__(self) -> Beside[T]:
         return self
 
     def __exit__(self, *error: object) -> None:
-        for child in self._children:
-            child.kill()
-        if self._pool is not None:
-            self._pool.shutdown()
-
-
-def _begin(prepare: Callable[[], object]) -> None:
-    """Prepare a forked process, which ends with this one and leaves interruptions to it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    prepare()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
+        if self._child:
+            os.kill(self._child, signal.SIGKILL)
+            os.waitpid(self._child, 0)
+            self._results.close()

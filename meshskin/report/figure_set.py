@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,45 +25,46 @@ if TYPE_CHECKING:
     from ..recording.recording import Recording
 
 
-Drawing = Callable[[], SavedFigure | None]
-"""Gives a figure once it is saved; None where the data do not allow it."""
+Drawn = dict[str, SavedFigure | None]
+"""Figures by name; None for those that the data do not allow."""
 ACCURACY_TIME, RESIDUALS = "accuracy_time", "residuals"
 """Names of the figures that have sections of their own."""
 
 
-def drawing_beside(forked: bool = True) -> Beside:
-    """A process that draws figures, and begins with importing what draws them."""
-    return Beside(partial(import_module, "matplotlib.figure"), forked)
-
-
-def begin_figures(
-    folder: Path, data: ReportData, names: Sequence[str], beside: Beside
-) -> dict[str, Drawing]:
-    """Begin drawing and saving figures, by their names."""
-    drawn = {draw.__name__: draw for draw in DRAWN}
-    return {name: beside.submit(drawn[name], folder, data) for name in names if name in drawn}
-
-
 def draw_figures(
-    folder: Path, data: ReportData, progress: Progress | None, beside: Beside,
-    early: Mapping[str, Drawing] | None = None,
-) -> tuple[list[SavedFigure], list[str]]:  # fmt: skip
-    """Draw and save every figure that the data allow, but those begun `early`; in the order of the
+    folder: Path,
+    data: ReportData,
+    progress: Progress | None,
+    early: Drawn | None = None,
+    beside: bool = False,
+) -> tuple[list[SavedFigure], list[str]]:
+    """Draw and save every figure that the data allow, but those drawn `early`; in the order of the
     page.
 
-    In this process, `progress` may raise OutOfTime: those not drawn by then are the last ones;
-    their names come second.
+    beside: draw some figures beside the others. Otherwise `progress` may raise OutOfTime: those not
+    drawn by then are the last ones; their names come second.
     """
-    begun, names = dict(early or {}), _names(data)
-    begun |= begin_figures(folder, data, [name for name in names if name not in begun], beside)
-    pictures = list[SavedFigure | None]()
-    with suppress(OutOfTime):
+    drawn = dict(early or {})
+    names = [name for name in _names(data) if name not in drawn]
+    later = [name for name in names if beside and name in BESIDE]
+    if later:
+        import matplotlib.figure  # noqa: F401  once, not in both processes
+    with Beside(lambda: draw_named(folder, data, later), bool(later)) as other, suppress(OutOfTime):
         stage = Stage(progress, "report", len(names))
         for name in names:
-            pictures.append(begun[name]())
-            stage.step()
-    left_out = [name.replace("_", " ") for name in names[len(pictures) :]]
+            if name not in later:
+                drawn |= draw_named(folder, data, [name])
+                stage.step()
+        drawn |= other.result()
+        stage.at(len(names))
+    pictures = [drawn[name] for name in _names(data) if name in drawn]
+    left_out = [name.replace("_", " ") for name in names if name not in drawn]
     return [picture for picture in pictures if picture is not None], left_out
+
+
+def draw_named(folder: Path, data: ReportData, names: Sequence[str]) -> Drawn:
+    """Draw and save figures by their names."""
+    return {draw.__name__: draw(folder, data) for draw in DRAWN if draw.__name__ in names}
 
 
 def _names(data: ReportData) -> list[str]:
@@ -296,5 +295,7 @@ DRAWN = (
     force, response, estimates, errors, uncertainty, coverage, residuals, iterations, accuracy_time
 )  # fmt: skip
 """The figures, in the order of the page."""
-EARLY = "force", "coverage", "uncertainty", "estimates", "response"
-"""Figures of a simulated and calibrated recording that need no other method."""
+EARLY = "force", "response", "estimates", "uncertainty", "coverage"
+"""Figures of a simulated recording that need no other method."""
+BESIDE = "iterations", "estimates", "coverage", "residuals"
+"""Figures that are drawn in a second process: they take as long as the others."""

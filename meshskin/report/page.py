@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import fields, replace
 from html import escape
 from importlib import resources
@@ -12,18 +11,17 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from ..core.atomic_io import write_text
+from ..core.beside import Beside
 from ..core.progress import Progress
 from . import markup
 from .data import ReportData
-from .figure_set import draw_figures, drawing_beside
+from .figure_set import EARLY, Drawn, draw_figures, draw_named
 from .markup import Content
 from .sections import content
 
 if TYPE_CHECKING:
-    from ..core.beside import Beside
     from ..estimation.cross_validation import CrossValidation
     from ..study.sensitivity.budget import BudgetReport
-    from .figure_set import Drawing
 
 
 def write(path: str | Path, content: Content) -> Path:
@@ -61,7 +59,7 @@ def _scripts() -> str:
 
 FIGURES = "figures"
 """Folder of the figures, beside the page."""
-OPTIONS = (*(item.name for item in fields(ReportData)), "budget", "progress", "beside")
+OPTIONS = (*(item.name for item in fields(ReportData)), "budget", "progress")
 """Names of the options of a report."""
 
 
@@ -71,7 +69,6 @@ def report(
     budget: BudgetReport | None = None,
     validation: CrossValidation | None = None,
     progress: Progress | None = None,
-    beside: Beside | None = None,
     **facts: Any,
 ) -> list[Path]:
     """Write the page `path` and, in the folder figures/ beside it, every figure as PNG and SVG.
@@ -79,7 +76,6 @@ def report(
     facts: fields of ReportData, at least its calibration; those that are None are left out. budget:
     the decisions of an error budget. validation: what `calibration.cross_validate` gave.
     progress(stage, done, total): called after each figure of the stage "report".
-    beside: the process that draws.
 
     Returns the paths written, the page first. Raises OutputError if a file cannot be written.
     """
@@ -88,25 +84,25 @@ def report(
     parts = {"budget": budget, "cross_validation": validation}
     metrics = {key: part.metrics() for key, part in parts.items() if part}
     data = replace(data, metrics={**metrics, **data.metrics})
-    if beside is not None:
-        return draw(Path(path), data, progress, beside)[0]
-    import matplotlib.figure  # noqa: F401  once, not in both processes
+    return draw(Path(path), data, progress, beside=True)[0]
 
-    with drawing_beside() as beside:
-        return draw(Path(path), data, progress, beside)[0]
+
+def draw_early(folder: Path, data: ReportData, forked: bool) -> Beside[Drawn]:
+    """The figures of EARLY, drawn into the folder of the page in a forked process, or on demand."""
+    if forked:
+        import matplotlib.figure  # noqa: F401  once, not in both processes
+    return Beside(lambda: draw_named(folder / FIGURES, data, EARLY), forked)
 
 
 def draw(
-    path: Path, data: ReportData, progress: Progress | None, beside: Beside,
-    early: Mapping[str, Drawing] | None = None,
-) -> tuple[list[Path], list[str]]:  # fmt: skip
-    """Write the page and its figures, those begun `early` among them; the figures left out where
-    `progress` raises OutOfTime.
+    path: Path, data: ReportData, progress: Progress | None = None, **how: Any
+) -> tuple[list[Path], list[str]]:
+    """Write the page and its figures; the figures left out where `progress` raises OutOfTime.
 
-    Returns the paths, and the names of the figures left out.
+    how: options of `draw_figures`. Returns the paths, and the names of the figures left out.
     """
     started = perf_counter()
-    pictures, left_out = draw_figures(path.parent / FIGURES, data, progress, beside, early)
+    pictures, left_out = draw_figures(path.parent / FIGURES, data, progress, **how)
     data = replace(
         data,
         seconds={**data.seconds, "figures": perf_counter() - started},

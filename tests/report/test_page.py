@@ -515,14 +515,12 @@ def test_figures_drawn_in_two_processes_are_those_of_one(
 ) -> None:
     monkeypatch.setattr(figure_set, "DRAWN", (figure_set.uncertainty, figure_set.coverage))
     data, steps = ReportData(case.calibration()), list[tuple[int, int]]()
-    with figure_set.drawing_beside(forked=False) as here:
-        one, _ = figure_set.draw_figures(tmp_path / "one", data, None, here)
-    with figure_set.drawing_beside() as other:
-        two, left_out = figure_set.draw_figures(
-            tmp_path / "two", data, lambda _, *done: steps.append(done), other
-        )
+    one, _ = figure_set.draw_figures(tmp_path / "one", data, None)
+    two, left_out = figure_set.draw_figures(
+        tmp_path / "two", data, lambda _, *done: steps.append(done), beside=True
+    )
     assert [picture.title for picture in one] == [picture.title for picture in two]
     assert not left_out
     assert steps[-1] == (2, 2)
-    for a, b in zip(one, two, strict=True):
-        assert [file.read_bytes() for file in a.files] == [file.read_bytes() for file in b.files]
+    for here, there in zip(one, two, strict=True):
+        assert [a.read_bytes() for a in here.files] == [b.read_bytes() for b in there.files]

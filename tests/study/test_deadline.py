@@ -17,7 +17,6 @@ from meshskin.estimation.calibrate import Estimation
 from meshskin.estimation.comparison import METHODS, compare_methods
 from meshskin.report import page
 from meshskin.report.data import ReportData
-from meshskin.report.figure_set import drawing_beside
 from meshskin.scene.scene import Scene
 from meshskin.study.sensitivity import choice, first_run
 from meshskin.study.sensitivity.request import Request
@@ -203,8 +202,7 @@ def test_figures_that_do_not_fit_are_left_out_and_named(
 
     found = Estimation(noisy_recording, noisy.belief()).calibrate("centroid")
     data = ReportData(found, truth=noisy.skin)
-    with drawing_beside(forked=False) as here:
-        written, left_out = page.draw(tmp_path / "report.html", data, late, here)
+    written, left_out = page.draw(tmp_path / "report.html", data, late)
     assert {file.stem for file in written} == {"report", *drawn}
     last = ["errors", "uncertainty", "coverage", "iterations", "accuracy time"]
     assert left_out[-5:] == last
