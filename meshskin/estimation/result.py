@@ -288,8 +288,9 @@ class EstimatorResult(EstimateDetails):
     departures: Mapping[str, float] = field(default_factory=dict)
     """Score, in standard deviations, of each departure from the model that was tested
     (joint/departures.py)."""
-    jump: Array = field(default_factory=lambda: np.zeros(3))
-    """Displacement (3,), m, of the contacts from one on, where the readings show one."""
+    jump: Array = field(default_factory=lambda: np.zeros(6))
+    """Motion (6,) of the contacts from one on (`joint.jump.Jump.motion`), where the readings show
+    one."""
     restarted: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Rows of taxels that were started again from the centroid of their contacts."""
     former: Former | None = None

@@ -49,15 +49,15 @@ def gather(recording: Recording, belief: Belief, repeated: bool = False) -> Meas
     Contacts without force (approach) have no patch and are left out, with their readings; so are a
     few corrupt readings, those of taxels that are stuck for a while, and spikes of taxels that
     nothing touches (`corrupt_readings.py`). Raises RecordingError for contacts that are not finite
-    and for many such readings, a clock that was set back, taxels read twice in a contact; CalibrationError for no readings,
-    wrong units, unknown taxel ids and headings of another shape; ContactError where the contact
-    model leaves its range.
+    and for many such readings, a clock that was set back, taxels read twice in a contact;
+    CalibrationError for no readings, wrong units, unknown taxel ids and headings of another shape;
+    ContactError where the contact model leaves its range.
     """
     unit_checks.check_finite(recording)
     unit_checks.check_readings(recording.metadata.get("readings"), belief.readings)
     index = taxel_rows(recording.reading_taxel, np.asarray(belief.taxel_ids))
-    unit_checks.check_clock(recording, index)
     unit_checks.check_unique(recording, index, len(belief.taxel_ids))
+    unit_checks.check_clock(recording, index)
     headings = _headings(recording, belief)
     learned = belief.readings == RAW or belief.contact == contact.LEARNED
     if learned:

@@ -46,10 +46,10 @@ FORCE_UNITS = {"kN": 1e-3, "mN": 1e3, "uN": 1e6}
 """Number that a force of 1 N has in each unit."""
 MATCH = 20.0
 """A unit is named as the cause if it explains the ratio within this factor."""
-SET_BACK, MAX_SET_BACK = 10.0, 0.1
+SET_BACK, MAX_SET_BACK = 10.0, 0.3
 """Frames by which a reading lies behind the one before of its taxel in the table, more than those
-that arrive late, from which the clock was set back; and the part of the readings up to which: more
-are rows in no order of time, whose times may be right."""
+that arrive late, from which the clock was set back; and the number of such readings, relative to
+those that follow in time: more are rows in another order, whose times may be right."""
 REMEDY = "check the units of pressure, force and modulus"
 RAW_REMEDY = ', or give readings="raw" (--raw) if they are counts or volts'
 """What else helps where readings are not pressures."""
@@ -197,9 +197,9 @@ def check_clock(recording: Recording, index: np.ndarray) -> None:
     later ones would belong to earlier contacts."""
     time = arrow.values(recording.readings.column("time"))
     order = np.argsort(index, kind="stable")
-    back = np.diff(time[order]) < -SET_BACK * recording.frame
-    back &= np.diff(index[order]) == 0
-    if not 0 < back.sum() <= MAX_SET_BACK * len(time):
+    step, same = np.diff(time[order]), np.diff(index[order]) == 0
+    back = same & (step < -SET_BACK * recording.frame)
+    if not 0 < back.sum() <= MAX_SET_BACK * np.sum(same & (step > 0)):
         return
     row = int(order[1:][back].min())
     raise RecordingError(

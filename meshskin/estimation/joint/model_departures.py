@@ -12,7 +12,7 @@ from ..uncertainty.goodness_of_fit import GoodnessOfFit
 from . import fault_detection, gain_changes, rejected_readings
 from .departures import FittedReadings, fitted_readings
 from .joint_estimator import JointEstimator
-from .jump import Jump, jump_by_outliers, jump_of
+from .jump import Jump, jump_by_outliers
 from .leaks import crosstalk_score
 from .parametrization import SurfaceParametrization
 from .pressure import OBSERVED
@@ -39,11 +39,11 @@ class ModelDepartures:
 
     fitted: FittedReadings | None = None
     jump: Jump = field(default_factory=Jump)
-    outlying: Jump = field(default_factory=Jump)
-    """The jump that outlying readings show."""
     errors: SharedErrors | None = None
     fields: ContactFields | None = None
     second: SecondFits | None = None
+    outlying: bool = False
+    """Whether readings are outlying."""
 
     @classmethod
     def of(cls, estimator: JointEstimator, fit: GoodnessOfFit) -> ModelDepartures:
@@ -52,16 +52,15 @@ class ModelDepartures:
         if not single or fit.of_computing(estimator.data.pressure):
             return cls()
         fitted = fitted_readings(estimator, estimator.likelihood.readings.weight)
-        outlying = jump_by_outliers(estimator)
-        jump = max(jump_of(estimator, fitted), outlying, key=lambda jump: jump.score)
         errors, fields = shared_errors(fitted), contact_fields(fitted)
-        return cls(fitted, jump, outlying, errors, fields, second_fits(estimator))
+        jump, second = jump_by_outliers(estimator), second_fits(estimator)
+        return cls(fitted, jump, errors, fields, second, fit.left_out > 0)
 
     def with_jump(self, learned: EstimatorResult | None) -> EstimatorResult | None:
         """An estimate with a learned response, if there is one, with the jump that outlying
         readings show here: there errors of the contacts stand in for it."""
-        jump = self.outlying
-        if learned is None or learned.jump.any() or not jump.shown.any():
+        jump = self.jump
+        if learned is None or learned.jump.any() or not (self.outlying and jump.shown.any()):
             return learned
         return replace(
             learned, jump=jump.shown, departures={**learned.departures, **jump.departure}

@@ -174,7 +174,8 @@ def _attempt(
     former = Former(effects, estimator, departures, ended, excluded)
     departures = {**response_groups(fitted).departure, **departures, **found.departures}
     departures |= jump.departure | kinds.departure
-    displaced = max(jump.shown, kinds.shown, key=np.linalg.norm)
+    either = np.append(kinds.shown, np.zeros(3))  # of two kinds of contacts
+    displaced = either if np.linalg.norm(either) > jump.size else jump.shown
     return replace(found, departures=departures, jump=displaced, former=former)
 
 
@@ -271,7 +272,8 @@ def _jump_without_errors(effects: RandomEffects, live: np.ndarray) -> Jump:
     these stand in for it."""
     try:
         still = _frozen(effects, live, np.ones(len(effects.data.pressure)), errors=0.0)
-        return jump_by_outliers(outlier_rejection.reject_outliers(still))
+        # hysteresis and creep pass for a drift without the contacts' errors
+        return jump_by_outliers(outlier_rejection.reject_outliers(still), drift=False)
     except CalibrationError:
         return Jump()
 

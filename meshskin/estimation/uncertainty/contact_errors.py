@@ -68,8 +68,8 @@ def systematic_covariance(
     """What these errors add to the covariances (n, 6, 6) of the taxels' poses, taxel frame.
 
     unknowns: estimated global parameters, whose offsets may explain the distances. places (n, 3),
-    m, and rotations (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators; jump (3,), m:
-    displacement of the contacts in a part of the recording.
+    m, and rotations (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators; jump (6,):
+    small motion of the contacts in a part of the recording.
     """
     points, middles, tangents = nearer_points(data, unknowns), starts(data), rotations[:, :, :2]
     hit, moved_points = on_surface(data, points)
@@ -78,7 +78,7 @@ def systematic_covariance(
     swapped = nearer_axes(data, points).displacements(middles)
     moves = [swapped]
     if jump is not None:
-        moves.append(np.broadcast_to(jump, middles.shape))
+        moves.append(jump[:3] + np.cross(jump[3:], middles))
     if data.belief.surface_sigma > 0.0:
         moves.append(data.belief.surface_sigma * growth(data.body, middles))
     if (moving := data.parameters.motion) is not None:

@@ -19,6 +19,7 @@ from ..data.global_parameters import ELECTRONICS, LEARNED, PRIOR_SIGMAS, SIZES, 
 from ..data.measurements import Measurements
 from ..data.patch_shape import MAX_EDGES
 from ..joint.departures import MIN_SCORE
+from ..joint.jump import JUMP, MIN_JUMP
 from ..learned.contact_correlations import MAX_CORRELATION
 from . import frame_errors, verdict, weighted_means
 from .contact_errors import SURFACE_DEPTHS, displacement, nearer_points, on_surface
@@ -134,7 +135,11 @@ def _departures(
     """Departures from the model that the readings show and the estimate does not include."""
     if calibration.fit is not None and calibration.fit.of_computing(data.pressure):
         return
-    shown = sorted((-score, name) for name, score in departures.items() if score > MIN_SCORE)
+    shown = sorted(
+        (-score, name)
+        for name, score in departures.items()
+        if score > (MIN_JUMP if name.startswith(JUMP) else MIN_SCORE)
+    )
     if not shown:
         return
     named = [f"{name} (score {-score:.3g})" for score, name in shown[:NAMED]]
@@ -142,7 +147,7 @@ def _departures(
         named.append(f"{len(shown) - NAMED} weaker ones")
     words = (
         f"the readings show {', '.join(named)} beyond what the estimate models (scores in "
-        f"standard deviations, limit {MIN_SCORE:g})"
+        f"standard deviations, limit {MIN_SCORE:g}, of a jump {MIN_JUMP:g})"
     )
     if calibration.fit is not None and calibration.fit.good is not False:
         words += ": its standard deviations can be too small"

@@ -42,8 +42,8 @@ ONE_WAY = 0.5
 from which the passes over it have one direction: equal passes both ways have 0, 14 in directions by
 chance 0.24 +- 0.12."""
 MIN_ANSWERED = 0.9
-"""Part of the contacts up to which readings are, below which a clock was set back where readings are
-missing, too: the later ones then belong to earlier contacts."""
+"""Part of the contacts up to which there are readings, below which a clock was set back where
+readings are missing, too: the later ones then belong to earlier contacts."""
 MIN_CONTACTS = 10
 """Contacts, at least, to judge their columns."""
 LAW = 1 / 3
@@ -273,14 +273,15 @@ def pressures(recording: Recording, data: Measurements) -> Iterator[Finding]:
         answered = (data.contact.max() + 1) / len(data.points)
         level, cause = DOUBT, ""
         if answered < MIN_ANSWERED:
-            level, cause = FAIL, f", and, as none belongs to the contacts after {answered:.0%} of "
-            cause += "the log, for a clock of the readings that was set back"
+            level = FAIL
+            cause = f"; and, as contacts after {answered:.0%} of the log have none, for a clock of "
+            cause += "the readings that was set back"
         words = (
             f"{data.lost:.0%} of the readings are missing where taxels read strongly all around "
             f"(limit {MAX_LOST:.0%}): no silence was taken for a reading below the threshold; look "
-            f"for readings that were lost on the way, and for contact points that are far off{cause}"
+            "for readings that were lost on the way, and for contact points that are far off"
         )
-        yield level, words
+        yield level, words + cause
     beside, unanswered = unanswered_contacts(data)
     if unanswered.sum() > MAX_UNANSWERED * beside.sum():
         yield doubt(

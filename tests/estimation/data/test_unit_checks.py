@@ -1,15 +1,17 @@
-"""Single contacts that are not on the believed surface."""
+"""Single contacts off the believed surface, and readings of a clock that was set back."""
 
 import warnings
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import trimesh
 
 import meshskin as ms
+from meshskin.core.errors import RecordingError
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.data.unit_checks import angles, off_surface, on_facets
+from meshskin.estimation.data.unit_checks import angles, check_clock, off_surface, on_facets
 
 RADIUS = 8e-3
 """Of the indenter, m."""
@@ -88,3 +90,22 @@ def test_contacts_made_on_the_faces_of_a_noisy_mesh_are_on_its_surface(noisy, se
     assert not on_facets(body, made, -face, RADIUS).any()
     data = gather(recording.with_columns(points=made, normals=face), scene.belief())
     assert data.strays == (off & ~on_facets(body, made, face, RADIUS)).sum() < 0.1 * off.sum()
+
+
+def test_a_clock_that_was_set_back_is_refused(noisy):
+    """Later readings would belong to earlier contacts. Tables in other orders are taken."""
+    recording = ms.press(noisy, noisy.skin.positions, seed=1)
+    taxel, time = recording.reading_taxel, recording.readings["time"].to_numpy()
+    count, half = len(recording.time), recording.time[len(recording.time) // 2]
+    twice = recording.with_columns(points=np.roll(recording.points, count // 2, axis=0))
+    for rows in (np.lexsort((time, taxel)), np.random.default_rng(0).permutation(len(time))):
+        table = recording.readings.take(pa.array(rows))
+        check_clock(replace(recording, readings=table), taxel[rows])
+    both = np.append(time, time + recording.time[-1] + recording.frame)
+    late = np.append(np.zeros(len(time), dtype=bool), np.ones(len(time), dtype=bool))
+    table = pa.concat_tables([recording.readings, twice.readings])
+    table = table.set_column(0, "time", pa.array(both))
+    check_clock(replace(recording, readings=table), np.tile(taxel, 2))
+    table = table.set_column(0, "time", pa.array(both - late * (both[late].min() - half)))
+    with pytest.raises(RecordingError, match="clock of the readings was set back"):
+        check_clock(replace(recording, readings=table), np.tile(taxel, 2))

@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 import meshskin as ms
 from meshskin.estimation.joint.departures import normal_score
-from meshskin.estimation.joint.jump import Jump, _usual_score, largest_jump
+from meshskin.estimation.joint.jump import Jump, _usual_score, displacements, largest_jump
 from meshskin.geometry.region import Cap
 
 
@@ -22,13 +23,12 @@ def fitted(count, begin):
 def displaced(residual):
     """Readings with residuals, one for each contact, of which 100 are 1 mm along x."""
     count = len(residual)
-    moved = np.tile(np.eye(3), (count, 1)).reshape(count, 3, 3)[:, 0] * 1e5
     return SimpleNamespace(
         data=SimpleNamespace(points=np.zeros((count, 3)), reach=lambda: np.ones(count)),
         rate=-residual,
         curvature=np.ones(count),
         readings=SimpleNamespace(contact=np.arange(count)),
-        moved=lambda directions: moved,
+        moved=lambda directions: 1e5 * directions[:, 0],
         unexplained=lambda columns: (columns, columns),
         shared=lambda columns: (columns.T @ residual, columns.T @ columns),
     )
@@ -37,7 +37,7 @@ def displaced(residual):
 def test_a_displacement_of_part_of_the_contacts_is_found_where_it_begins():
     found = largest_jump(fitted(160, 80))
     assert found.part == 0.5
-    np.testing.assert_allclose(found.shown, [1e-3, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(found.shown, [1e-3, *np.zeros(5)], atol=1e-12)
 
 
 def test_a_displacement_of_all_contacts_is_no_jump():
@@ -54,16 +54,33 @@ def test_the_score_of_several_directions_is_that_of_one_as_improbable():
         assert abs(normal_score(square, count) - exact) < off * exact
 
 
-def test_a_jump_is_estimated_at_the_place_that_is_given():
-    found = largest_jump(fitted(160, 80), 0.75)
-    assert found.part == 0.75
+def test_a_jump_between_two_places_is_found_where_it_begins():
+    """15 places are 10 of 160 contacts apart; then four between the best one and its neighbours."""
+    for begin in (85, 87, 93):
+        assert largest_jump(fitted(160, begin)).part * 160 == pytest.approx(begin, abs=2)
 
 
 def test_a_displacement_that_grows_is_a_drift():
     found = largest_jump(displaced(100.0 * np.arange(160) / 160))
     assert np.isnan(found.part)
-    np.testing.assert_allclose(found.displacement, [1e-3, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(found.motion, [1e-3, *np.zeros(5)], atol=1e-12)
     assert "a drift of the contacts by 1 mm" in next(iter(found.departure))
+    assert not np.isnan(largest_jump(displaced(100.0 * np.arange(160) / 160), drift=False).part)
+
+
+def test_a_body_that_is_turned_is_a_jump():
+    """By 0.01 rad about an axis through (0, 0.05, 0) m, from half of the contacts on."""
+    rng, late, axis = np.random.default_rng(0), np.arange(160) >= 80, np.array([0.0, 0.0, 0.01])
+    points = rng.uniform(-0.1, 0.1, (160, 3))
+    along = rng.normal(size=(160, 3))
+    turned = np.cross(axis, points - [0.0, 0.05, 0.0])
+    residual = 1e5 * late * np.einsum("mi,mi->m", along, turned)
+    made = displaced(residual)
+    made.data.points = points
+    made.moved = lambda directions: 1e5 * np.einsum("mi,miq->mq", along, directions)
+    found = largest_jump(made)
+    assert found.part == 0.5
+    np.testing.assert_allclose(displacements(found.shown, points), turned, atol=1e-9)
 
 
 def test_scores_at_other_places_tell_what_is_usual():
@@ -161,3 +178,27 @@ def test_a_jump_that_outlying_readings_hide_is_named_and_counted(contact):
     stated = np.mean(found.position_sigma[good] ** 2) / np.mean(error[good] ** 2)
     assert good.sum() > 55
     assert 1.0 < stated**0.5 < 2.0
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("readings", ["pressure", "raw"])
+def test_a_body_that_was_turned_by_2_degrees_is_named_and_counted(readings):
+    """Halfway through a log in lanes, its contacts projected on the believed surface: few taxels
+    are touched before and after it, 0.2 mm off, and lose no reading as outlying."""
+    scene = on_a_capsule()
+    log, along = lanes(scene, 3)
+    middle = log.points.mean(axis=0)
+    turn = Rotation.from_rotvec(np.radians(2) * np.cross(log.normals.mean(axis=0), along))
+    moved = np.where(np.arange(600)[:, None] >= 300, turn.apply(log.points - middle) + middle,
+                     log.points)  # fmt: skip
+    hit = scene.body.closest(moved)
+    turned = log.with_columns(points=hit.point, normals=hit.normal)
+    belief = scene.belief(noise_sigma=None, readings=readings)
+    for each, level, most in ((log, "PASS", 1.25), (turned, "DOUBT", 2.0)):
+        found = ms.calibrate(each, belief)
+        assert found.verdict is not None
+        assert found.verdict.level == level
+        error = np.linalg.norm(found.positions - scene.skin.positions, axis=1)
+        stated = np.mean(found.position_sigma**2) / np.mean(error**2)
+        assert 0.8 < stated**0.5 < most
+    assert any("a jump of the contacts at" in words for words in found.verdict.reasons)
