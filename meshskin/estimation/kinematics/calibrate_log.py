@@ -255,12 +255,8 @@ def _corrected(
         mesh.apply_scale(scale)
         body = replace(body, mesh=mesh, exact=None, robot_mesh=None)
     radius = belief.indenter.radius + kinematics.value("indenter_radius", s)
-    return replace(
-        belief,
-        body=body,
-        indenter=replace(belief.indenter, radius=radius),
-        contact_motion=motion,
-    )
+    indenter = replace(belief.indenter, radius=radius)
+    return replace(belief, body=body, indenter=indenter, contact_motion=motion)
 
 
 def _clock_error(found: Calibration, log: SkinLog, shift: float) -> float:
