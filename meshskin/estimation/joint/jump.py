@@ -209,9 +209,14 @@ def with_outlying(estimator: JointEstimator) -> FittedReadings:
 
 def jump_by_outliers(estimator: JointEstimator, drift: bool = True) -> Jump:
     """The motion of all contacts from one on that outlying readings show: by themselves, or with
-    the others; drift: as of `largest_jump`."""
-    whole = largest_jump(with_outlying(estimator), drift)
-    return max(_explained_outliers(estimator), whole, key=lambda jump: jump.score)
+    the others; drift: as of `largest_jump`.
+
+    Where both show one, it is the larger: to first order, readings that are cut tell too little of
+    a motion by more than their patches."""
+    found = _explained_outliers(estimator), largest_jump(with_outlying(estimator), drift)
+    best = max(found, key=lambda jump: jump.score)
+    shown = (jump for jump in found if jump.score > MIN_JUMP)
+    return replace(max(shown, key=lambda jump: jump.size, default=best), score=best.score)
 
 
 def _explained_outliers(estimator: JointEstimator) -> Jump:

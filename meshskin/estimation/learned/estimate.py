@@ -268,10 +268,11 @@ def as_learned(
 
 
 def _jump_without_errors(effects: RandomEffects, live: np.ndarray) -> Jump:
-    """The jump that readings show which are outlying where contacts have no errors of their own:
-    these stand in for it."""
+    """The jump that readings show which are outlying where contact points have no errors of their
+    own: these stand in for it."""
     try:
-        still = _frozen(effects, live, np.ones(len(effects.data.pressure)), errors=0.0)
+        every = np.ones(len(effects.data.pressure))
+        still = _frozen(effects, live, every, errors=np.array([0.0, 0.0, 1.0]))
         # hysteresis and creep pass for a drift without the contacts' errors
         return jump_by_outliers(outlier_rejection.reject_outliers(still), drift=False)
     except CalibrationError:
@@ -279,10 +280,10 @@ def _jump_without_errors(effects: RandomEffects, live: np.ndarray) -> Jump:
 
 
 def _frozen(
-    effects: RandomEffects, live: np.ndarray, weight: Array, errors: float = 1.0
+    effects: RandomEffects, live: np.ndarray, weight: Array, errors: Array | float = 1.0
 ) -> JointEstimator:
     """The taxels under the response and the contacts as estimated, which stay, with `errors` times
-    their errors."""
+    their errors (m, 3)."""
     data, u, d = effects.data, effects.unknowns, effects.deviations
     observed = effects.readings.kind == OBSERVED
     noise = float(np.sqrt(np.mean(effects.spread[observed] ** 2))) * data.sigma
