@@ -119,7 +119,7 @@ def _grown(count: int, pitch: float, meetings: list[Meeting]) -> tuple[Array, Ar
     origins, angles = np.zeros((count, 2)), np.zeros(count)
     at = {(m.first, m.second): m for m in meetings}
     at |= {(m.second, m.first): m.reversed() for m in meetings}
-    row, column = np.array(list(at), dtype=int).reshape(-1, 2).T
+    row, column = np.array(list(at), dtype=np.int32).reshape(-1, 2).T  # as csgraph has indices
     weight = [max(m.misfit, 1e-9) for m in at.values()]  # SciPy takes a zero for a missing edge
     tree = minimum_spanning_tree(csr_array((weight, (row, column)), shape=(count, count)))
     parts, part = connected_components(tree, directed=False)
