@@ -43,7 +43,8 @@ SKIP_TIME = 0.2
 """Time along the path that is skipped where it cannot be followed, s."""
 HALVINGS, FACING = 5, 0.9
 """Halvings of the standoff that are tried for an approach, and least cosine of the angle between
-the path's normal and that of the part of the body nearest to the indenter where it begins."""
+the path's normal and that of the part of the body nearest to the indenter where it begins. Chosen:
+26 degrees, far from those of a wall beside a hollow, down to 1/32 of the standoff."""
 
 
 class ExplorationStateMachine:
@@ -68,7 +69,7 @@ class ExplorationStateMachine:
         """Reference force (places,), N; None: that of the law."""
         self._middle = simulator.body.surface.bounds.mean(axis=0)
         self.place, self.row = 0, 0
-        self._came = np.zeros((0, REFERENCE))
+        self._traversed = np.zeros((0, REFERENCE))
         """References (k, 18) by which the contact came from where it was made; none in the air."""
         self.phase = APPROACH
         self.explored = False
@@ -203,7 +204,7 @@ class ExplorationStateMachine:
 
     def _slide(self, track: Track) -> Iterator[Steps]:
         """Follow the track from the present row, to its end or until contact is lost."""
-        first = max(self.row - len(self._came), 0)
+        first = max(self.row - len(self._traversed), 0)
         self.phase, patience = SLIDE, max(round(LOSS_TIME / self.simulator.loop.dt), 1)
         gap = 0
         while self.row < len(track):
@@ -214,12 +215,12 @@ class ExplorationStateMachine:
             lost = np.flatnonzero(gaps >= patience)
             if len(lost):  # continue from the last row in contact
                 self.row = max(self.row + int(ends[lost[0]]), 0)
-                self._came = track.references[first : self.row]
+                self._traversed = track.references[first : self.row]
                 yield steps
                 return
             gap = int(gaps[-1])
             self.row += len(steps.time)
-            self._came = track.references[first : self.row]
+            self._traversed = track.references[first : self.row]
             self.explored = True
             yield steps
 
@@ -264,16 +265,16 @@ class ExplorationStateMachine:
         try:
             high, over = self._clear_poses(low, goal)
         except PlaceError:
-            if len(self._came) < 2:
+            if len(self._traversed) < 2:
                 raise
-            back, self.phase = reference_poses(self._came[::-1]), LEAVE
+            back, self.phase = reference_poses(self._traversed[::-1]), LEAVE
             high, over = self._clear_poses(back[-1], goal)
             yield simulator.move(state_of_pose(back), LEAVE)
             low = back[-1]
         for self.phase, start, end in ((LEAVE, low, high), (NEXT, high, over), (NEXT, over, goal)):
             poses = transfer.blend(start, end, simulator.loop.dt, self._middle)
             yield simulator.move(state_of_pose(poses), self.phase)
-            self._came = self._came[:0]
+            self._traversed = self._traversed[:0]
 
     def _clear_poses(self, low: Array, goal: Array) -> tuple[Array, Array]:
         """Poses (4, 4) above `low` and above `goal` between which the body turns without contact.

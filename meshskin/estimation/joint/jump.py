@@ -73,6 +73,11 @@ class Jump:
         size = 3**-0.5 if np.isnan(self.part) else 1.0
         return size * self.motion if self.score > MIN_JUMP else np.zeros(6)
 
+    def or_displacement(self, other: Array) -> Array:
+        """The motion (6,) that is shown, or a displacement (3,), m, if that is larger."""
+        larger = self.shown.any() and self.size > np.linalg.norm(other)
+        return self.shown if larger else np.append(other, np.zeros(3))
+
     @property
     def departure(self) -> dict[str, float]:
         """The score by the name of the jump, which says where it is."""

@@ -174,8 +174,7 @@ def _attempt(
     former = Former(effects, estimator, departures, ended, excluded)
     departures = {**response_groups(fitted).departure, **departures, **found.departures}
     departures |= jump.departure | kinds.departure
-    either = np.append(kinds.shown, np.zeros(3))  # of two kinds of contacts
-    displaced = either if np.linalg.norm(either) > jump.size else jump.shown
+    displaced = jump.or_displacement(kinds.shown)
     return replace(found, departures=departures, jump=displaced, former=former)
 
 

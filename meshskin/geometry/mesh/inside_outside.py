@@ -41,8 +41,6 @@ SAMPLED = 4000
 MEMBERS, CLEAR = 400, 0.9
 """number of faces of a component about which its level is sought, and the part of their area from
 which they tell it"""
-
-
 UNKNOWN = np.iinfo(np.int64).min
 """no winding number"""
 

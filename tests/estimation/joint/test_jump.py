@@ -202,3 +202,13 @@ def test_a_body_that_was_turned_by_2_degrees_is_named_and_counted(readings):
         stated = np.mean(found.position_sigma**2) / np.mean(error**2)
         assert 0.8 < stated**0.5 < most
     assert any("a jump of the contacts at" in words for words in found.verdict.reasons)
+
+
+@pytest.mark.parametrize(
+    ("score", "size", "turned"), [(2.0, 1e-3, False), (9.0, 1e-3, True), (9.0, 1e-4, False)]
+)
+def test_the_larger_of_a_jump_that_is_shown_and_another_displacement_counts(score, size, turned):
+    """A jump below its limit, however large, does not stand in for the displacement."""
+    motion, other = np.array([size, 0, 0, 0, 0, 0.01]), np.array([0, 2e-4, 0])
+    found = Jump(score, 0.5, motion, size).or_displacement(other)
+    np.testing.assert_array_equal(found, motion if turned else np.append(other, np.zeros(3)))
